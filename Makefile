@@ -1,0 +1,31 @@
+# BLAS threads: the matrices are small, so at most four. Under mpirun the tests divide the cores among the ranks.
+THREADS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
+export OPENBLAS_NUM_THREADS := $(THREADS)
+export OMP_NUM_THREADS := $(THREADS)
+
+.PHONY: help setup demo test test-all test-trixie clean
+
+help:
+	@echo 'make demo         install what is missing, solve the blade root, name the files written'
+	@echo 'make test         install what is missing, run the tests'
+	@echo 'make test-all     the slow tests as well'
+	@echo 'make test-trixie  make test on Debian 13, in a chroot (as root)'
+	@echo 'make clean        remove .venv and build/'
+
+setup:
+	@tools/setup.sh
+
+demo: setup
+	.venv/bin/python demos/blade_root.py
+
+test: setup
+	.venv/bin/python -m pytest
+
+test-all: setup
+	.venv/bin/python -m pytest -m 'slow or not slow'
+
+test-trixie:
+	tools/trixie.sh make test
+
+clean:
+	rm -rf .venv build *.egg-info

@@ -1,0 +1,151 @@
+"""What differs between dolfinx 0.5 and 0.9, probed by feature, never by version."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import cffi
+import dolfinx
+import dolfinx.fem.petsc
+import dolfinx.jit
+import gmsh
+import numpy as np
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ewr_fenicsx.errors import EwrError
+
+
+@contextmanager
+def compiling(what: str) -> Iterator[None]:
+    """Around everything that makes dolfinx call the C compiler.
+
+    Silences the compiler driver's ``INFO:root`` lines and turns a failed compilation into an error that helps.
+
+    Args:
+        what: What is compiled, for the message.
+
+    Raises:
+        EwrError: No C compiler, or a cache left unusable by an interrupted compilation.
+    """
+    root = logging.getLogger()
+    level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
+    logging.disable(max(disabled, logging.INFO))
+    try:
+        yield
+    except (TimeoutError, ImportError, OSError, RuntimeError, cffi.VerificationError) as error:
+        raise EwrError(
+            f"cannot compile {what}: {type(error).__name__}: {error}\nIs there a C compiler (apt-get install gcc)? "
+            f"If an earlier run was interrupted, clear the cache: rm -r {jit_cache()}"
+        ) from error
+    finally:
+        logging.disable(disabled)
+        root.setLevel(level)
+        root.handlers[:] = handlers
+
+
+def jit_cache() -> str:
+    """The folder in which dolfinx keeps compiled forms."""
+    probe = "get_options" if hasattr(dolfinx.jit, "get_options") else "get_parameters"
+    return str(getattr(dolfinx.jit, probe)()["cache_dir"])
+
+
+def function_space(mesh: dolfinx.mesh.Mesh, family: str, degree: int, shape: tuple[int, ...] = ()):
+    """A scalar (``shape=()``) or vector (``shape=(2,)``) finite-element space."""
+    with compiling(f"the {family} space of degree {degree}"):
+        if hasattr(dolfinx.fem, "functionspace"):
+            return dolfinx.fem.functionspace(mesh, (family, degree, shape) if shape else (family, degree))
+        if shape:
+            return dolfinx.fem.VectorFunctionSpace(mesh, (family, degree), dim=shape[0])
+        return dolfinx.fem.FunctionSpace(mesh, (family, degree))
+
+
+def compile_form(form: ufl.Form, what: str):
+    """A UFL form, compiled."""
+    with compiling(what):
+        return dolfinx.fem.form(form)
+
+
+def assemble_matrix(form) -> PETSc.Mat:
+    """The sparse matrix of a compiled bilinear form, with no boundary condition."""
+    matrix = dolfinx.fem.petsc.assemble_matrix(form)
+    matrix.assemble()
+    return matrix
+
+
+def assemble_vector(form) -> PETSc.Vec:
+    """The vector of a compiled linear form, shared entries summed on their owner."""
+    vector = dolfinx.fem.petsc.assemble_vector(form)
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    return vector
+
+
+def cell_dofs(space, cells: Sequence[int]) -> np.ndarray:
+    """Local block numbers of the given cells, cell after cell."""
+    return np.array([dof for cell in cells for dof in space.dofmap.cell_dofs(cell)], dtype=np.int64)
+
+
+@contextmanager
+def gmsh_model(name: str) -> Iterator[None]:
+    """A fresh, silent gmsh model that is removed in the end; gmsh is started, and then stopped, if it was not running.
+
+    Args:
+        name: Of the model, which becomes the current one.
+    """
+    running = _gmsh_is_running()
+    if not running:
+        # A program's own arguments are not gmsh's, a user's gmsh options must not change meshes, and Ctrl-C stays ours.
+        newer = "interruptible" in inspect.signature(gmsh.initialize).parameters
+        gmsh.initialize([], readConfigFiles=False, **({"interruptible": False} if newer else {}))
+    models, current = gmsh.model.list(), gmsh.model.getCurrent()
+    loudness = gmsh.option.getNumber("General.Terminal")
+    gmsh.option.setNumber("General.Terminal", 0)
+    try:
+        gmsh.model.add(name)
+        yield
+    finally:
+        if not running:
+            gmsh.finalize()
+        else:
+            for added in [model for model in gmsh.model.list() if model not in models]:
+                gmsh.model.setCurrent(added)
+                gmsh.model.remove()
+            gmsh.model.setCurrent(current)
+            gmsh.option.setNumber("General.Terminal", loudness)
+
+
+def _gmsh_is_running() -> bool:
+    if hasattr(gmsh, "isInitialized"):
+        return bool(gmsh.isInitialized())
+    try:  # gmsh 4.8 raises when stopped, but not before its first start: then it has no model, and later always one
+        return bool(gmsh.model.list())
+    except Exception:
+        return False
+
+
+def distribute_gmsh_model(comm: MPI.Comm, dimension: int) -> tuple:
+    """The current gmsh model of rank 0 as ``(mesh, cell tags, facet tags)`` on all ranks."""
+    if importlib.util.find_spec("dolfinx.io.gmsh"):
+        converter = importlib.import_module("dolfinx.io.gmsh")
+    else:
+        converter = importlib.import_module("dolfinx.io.gmshio")
+    return tuple(converter.model_to_mesh(gmsh.model, comm, 0, gdim=dimension))[:3]
+
+
+def element_degree(space) -> int:
+    """Polynomial degree of a space."""
+    degree = space.ufl_element().degree
+    return degree() if callable(degree) else degree
+
+
+def write_meshtags(file: dolfinx.io.XDMFFile, tags, mesh: dolfinx.mesh.Mesh) -> None:
+    """Write tags into an XDMF file that already holds their mesh."""
+    if inspect.isfunction(type(file).write_meshtags):  # the older one is compiled, and finds the mesh itself
+        file.write_meshtags(tags, mesh.geometry)
+    else:
+        file.write_meshtags(tags)

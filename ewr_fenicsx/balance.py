@@ -1,0 +1,267 @@
+"""The weighted residual of a contact system and its generalised Jacobian ``J = E + S H``.
+
+Unknowns: the Fourier coefficients of the contact forces, ``(n_c, m)``, and the rigid coordinates of floating bodies.
+Laws are evaluated at samples in time and projected on the harmonics. E and S (a law's derivatives) are block-diagonal
+over pairs, H (the compliance) is block-diagonal over harmonics. A row whose derivatives do not change over the period
+(closed, open or stuck throughout) is uncoupled in harmonics: ``NewtonStep`` eliminates it harmonic by harmonic, so that
+the dense solve has only the rows that change status.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.contact_laws import Motion
+from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.elimination import REDUNDANCY, Derivative, Elimination, apply_harmonics
+from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+
+
+class HarmonicBalance:
+    """Residual of a contact system as a function of one real vector, scaled to be of order one.
+
+    Args:
+        system: The composed system, with at least one row.
+        force_unit: Force that counts as one [N]; None: the norm of the full-stick forces.
+    """
+
+    def __init__(self, system: ContactSystem, force_unit: float | None = None):
+        self.system = system
+        self._force_unit = force_unit
+        self.basis = system.basis
+        self.compliance = system.compliance
+        self.rate = 1j * system.compliance.omega * np.array(system.basis.orders)
+        self.rows = system.rows.shape[0]
+        self.rigid = system.compliance.rigid_motion.shape[1]
+        self.law_rows = [system.index[law.direction][law.pairs] for law in system.laws]
+        self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
+        for law, rows in zip(system.laws, self.law_rows):
+            self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
+            self.static_displacement_row[rows] = law.static_displacement_row
+        self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
+        if self.basis.has_mean:
+            self.unknown[0] = self.static_row > 0
+        self.size = int(self.unknown.sum()) + self.rigid
+
+    @cached_property
+    def full_stick(self) -> tuple[ComplexArray, RealArray]:
+        """Force amplitudes ``(n_h, m)`` and rigid coordinates when no pair opens or slips: the linear start."""
+        compliance = self.compliance
+        forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
+        rigid = np.zeros(self.rigid)
+        shift = np.diag(REDUNDANCY * self.system.flexibility)
+        for j, h in enumerate(self.basis.orders):
+            if h:
+                forces[j] = scipy.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
+        if self.basis.has_mean:
+            target = np.full(self.rows, np.nan)
+            for law, rows in zip(self.system.laws, self.law_rows):
+                target[rows] = np.nan if law.static_target is None else law.static_target
+            held = np.flatnonzero(np.isfinite(target))
+            unit = np.mean(self.system.flexibility)
+            G = compliance.rigid_motion[held]
+            saddle = np.block(
+                [[(compliance.flexibility[0].real + shift)[np.ix_(held, held)] / unit, G], [G.T, np.zeros((self.rigid,) * 2)]]
+            )
+            motion = target[held] - compliance.free_motion[0].real[held]
+            solution = np.linalg.lstsq(saddle, np.concatenate([motion / unit, -compliance.rigid_load]), rcond=1e-13)[0]
+            forces[0, held] = solution[: held.size]
+            rigid = solution[held.size :] * unit
+        return forces, rigid
+
+    @cached_property
+    def force_unit(self) -> float:
+        """Force that counts as one [N]: the norm of the full-stick forces where none was given."""
+        return self._force_unit or float(np.linalg.norm(self.full_stick[0])) or 1.0
+
+    @cached_property
+    def length_unit(self) -> float:
+        """Natural length of the problem [m]."""
+        return self.force_unit * float(np.mean(self.system.flexibility))
+
+    @cached_property
+    def rigid_motion(self) -> RealArray:
+        """``(m, r)`` motion of the rows by the scaled rigid coordinates, which are in newtons [m/N]."""
+        return self.compliance.rigid_motion * float(np.mean(self.system.flexibility))
+
+    def pack(self, forces: ComplexArray, rigid: RealArray) -> RealArray:
+        """Scaled vector of unknowns, ``(size,)``."""
+        coefficients = self.basis.to_coefficients(forces)[self.unknown]
+        return np.concatenate([coefficients / self.force_unit, rigid / self.length_unit])
+
+    def unpack(self, unknowns: RealArray) -> tuple[ComplexArray, RealArray]:
+        """Force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)`` [m]."""
+        coefficients = np.zeros(self.unknown.shape)
+        coefficients[self.unknown] = unknowns[: self.size - self.rigid] * self.force_unit
+        return self.basis.to_amplitudes(coefficients), unknowns[self.size - self.rigid :] * self.length_unit
+
+    def sample(self, forces: ComplexArray, rigid: RealArray, basis: FourierBasis | None = None) -> list[Motion]:
+        """What each law sees over one period, for all laws in turn."""
+        basis = basis or self.basis
+        motion = self.compliance.motion(forces, rigid)
+        signals = [basis.synthesise(s) for s in (forces, motion, self.rate[:, None] * motion)]
+        seen = []
+        for law in self.system.laws:
+            columns = {d: self.system.row_of(d, law.pairs) for d in self.system.index}
+            columns = {d: c for d, c in columns.items() if np.all(c >= 0)}
+            motion = Motion(*({d: signal[:, c] for d, c in columns.items()} for signal in signals))
+            if "normal" not in columns:
+                motion.force["normal"] = sample_amplitudes(self.system.prescribed, law.pairs, basis.samples)
+            seen.append(motion)
+        return seen
+
+    def residual(self, unknowns: RealArray) -> RealArray:
+        """Scaled weighted residual, ``(size,)``."""
+        forces, rigid = self.unpack(unknowns)
+        responses = [law.evaluate(seen) for law, seen in zip(self.system.laws, self.sample(forces, rigid))]
+        return self._project(forces, rigid, [r.residual for r in responses])
+
+    def linearise(self, unknowns: RealArray) -> NewtonStep:
+        """Residual and generalised Jacobian at a point."""
+        forces, rigid = self.unpack(unknowns)
+        derivatives, residuals = [], []
+        for law, rows, seen in zip(self.system.laws, self.law_rows, self.sample(forces, rigid)):
+            response = law.evaluate(seen)
+            residuals.append(response.residual)
+            for variable, direction, values in response.partials:
+                columns = self.system.row_of(direction, law.pairs)
+                if np.all(columns >= 0):  # else it is given, not unknown
+                    derivatives.append(Derivative(rows, columns, variable, values))
+        return NewtonStep(self, tuple(derivatives), self._project(forces, rigid, residuals))
+
+    def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
+        coefficients = np.empty(self.unknown.shape)
+        for rows, residual in zip(self.law_rows, residuals):
+            coefficients[:, rows] = self.basis.project(residual)
+        balance = np.zeros(0)
+        if self.basis.has_mean:
+            mean = forces[0].real
+            coefficients[0] = self.static_row * coefficients[0] + self.static_force_row * mean
+            if np.any(self.static_displacement_row):
+                motion = self.compliance.motion(forces[:1], rigid)[0].real
+                coefficients[0] += self.static_displacement_row * motion
+            balance = self.compliance.rigid_motion.T @ mean + self.compliance.rigid_load
+        return np.concatenate([coefficients[self.unknown], balance]) / self.force_unit
+
+
+class NewtonStep:
+    """The linearised balance at one point: as a product, as a dense matrix, or solved with steady rows eliminated."""
+
+    def __init__(self, balance: HarmonicBalance, derivatives: tuple[Derivative, ...], residual: RealArray):
+        self.balance = balance
+        self.derivatives = derivatives
+        self.residual = residual
+
+    @cached_property
+    def steady(self) -> np.ndarray:
+        """``(m,)`` rows whose derivatives are the same at every sample."""
+        changes = np.zeros(self.balance.rows, dtype=bool)
+        for d in self.derivatives:
+            changes[d.rows] |= np.any(d.values != d.values[0], axis=0)
+        return ~changes
+
+    def multiply(self, direction: RealArray) -> RealArray:
+        """``J v`` without forming J, ``(size,)``."""
+        balance, basis = self.balance, self.balance.basis
+        forces, rigid = balance.unpack(direction)
+        motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
+        signals = {
+            "force": basis.synthesise(forces),
+            "displacement": basis.synthesise(motion),
+            "velocity": basis.synthesise(balance.rate[:, None] * motion),
+        }
+        samples = np.zeros((basis.samples, balance.rows))
+        for d in self.derivatives:
+            samples[:, d.rows] += d.values * signals[d.variable][:, d.columns]
+        return balance._project(forces, rigid, [samples[:, rows] for rows in balance.law_rows]) - balance._project(
+            0 * forces, 0 * rigid, [np.zeros((basis.samples, rows.size)) for rows in balance.law_rows]
+        )
+
+    def matrix(self) -> RealArray:
+        """The whole Jacobian, ``(size, size)``."""
+        load = np.zeros(self.balance.unknown.shape)
+        nothing = Elimination.of(self.balance, self.derivatives, np.zeros(self.balance.rows, dtype=bool), load)
+        matrix, _ = self._assemble(nothing, load)
+        unknown = self.balance.unknown
+        rigid = np.arange(unknown.size, matrix.shape[0])
+        rows = np.arange(unknown.size).reshape(unknown.T.shape).T[unknown]
+        return matrix[np.ix_(np.concatenate([rows, rigid]), np.concatenate([np.flatnonzero(unknown), rigid]))]
+
+    def solve(self, right_side: RealArray) -> RealArray:
+        """``J^-1 b`` with the steady rows eliminated, ``(size,)``: the same step as with the dense matrix.
+
+        Raises:
+            LinAlgError: The Jacobian is singular.
+        """
+        balance = self.balance
+        load = np.zeros(balance.unknown.shape)
+        load[balance.unknown] = right_side[: balance.size - balance.rigid]
+        elimination = Elimination.of(balance, self.derivatives, self.steady, load)
+        matrix, b = self._assemble(elimination, load)
+        b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
+        unknown = balance.unknown[:, elimination.mixed]
+        rigid = np.ones(balance.rigid, dtype=bool)
+        columns = np.concatenate([unknown.ravel(), rigid])
+        if not columns.all():  # mean friction that the law sets to zero
+            rows = np.concatenate([unknown.T.ravel(), rigid])
+            matrix, b = matrix[np.ix_(rows, columns)], b[rows]
+        x = np.zeros(columns.size)
+        if b.size:
+            # LAPACK reads the row-major matrix as its transpose: factor that in place, and solve with it transposed back
+            lu, pivots, failed = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
+            if failed:
+                raise np.linalg.LinAlgError("the Newton matrix is singular")
+            x[columns] = scipy.linalg.lu_solve((lu, pivots), b, trans=1, check_finite=False)
+        return elimination.expand(x)
+
+    def _assemble(self, elimination: Elimination, load: RealArray) -> tuple[RealArray, RealArray]:
+        """Matrix and right side of the mixed rows and the rigid balance; rows (pair, coefficient), columns (coefficient, pair), rigid last."""
+        balance, basis = self.balance, self.balance.basis
+        mixed, n_c = elimination.mixed, basis.coefficients
+        place = np.full(balance.rows, -1)
+        place[mixed] = np.arange(mixed.size)
+        size = mixed.size * n_c
+        matrix = np.zeros((size + balance.rigid, size + balance.rigid))
+        b = np.zeros(size + balance.rigid)
+        block = np.zeros((mixed.size, n_c, n_c, mixed.size))
+        known = load[:, mixed].T.copy()
+        toward_rigid = np.zeros((mixed.size, n_c, balance.rigid))
+        if basis.has_mean:
+            own = np.arange(mixed.size)
+            block[own, 0, 0, own] += balance.static_force_row[mixed]
+        for d in self.derivatives:
+            pick = np.flatnonzero(place[d.rows] >= 0)
+            if pick.size == 0:
+                continue
+            at, columns = place[d.rows[pick]], d.columns[pick]
+            T = basis.multiplication(d.values[:, pick])
+            if basis.has_mean:
+                T[:, 0, :] *= balance.static_row[d.rows[pick], None]
+            if d.variable == "force":
+                inside = place[columns] >= 0
+                block[at[inside], :, :, place[columns[inside]]] += T[inside]
+                at, columns, T = at[~inside], columns[~inside], T[~inside]
+                if at.size == 0:
+                    continue
+            elif d.variable == "velocity":
+                T = basis.differentiate_columns(T, balance.compliance.omega)
+                if basis.has_mean:
+                    T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]]
+            V, v, g = elimination.follow("force" if d.variable == "force" else "motion", columns)
+            block[at] += apply_harmonics(basis, T, V)
+            known[at] -= np.einsum("kij,jk->ki", T, basis.to_coefficients(v))
+            if balance.rigid:
+                toward_rigid[at] += T[:, :, :1] * g[:, None, :]
+        matrix[:size, :size] = block.reshape(size, size)
+        b[:size] = known.reshape(size)
+        if balance.rigid:
+            matrix[:size, size:] = toward_rigid.reshape(size, balance.rigid)
+            rows, corner, offset = elimination.rigid_balance()
+            matrix[size:, :size].reshape(balance.rigid, n_c, mixed.size)[:, 0] = rows
+            matrix[size:, size:] = corner
+            b[size:] = -offset
+        return matrix, b

@@ -1,0 +1,173 @@
+"""From a scene to its contact problem: mesh, matrices, interface and reduced model, one after the other and timed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+
+from ewr_fenicsx import elasticity, materials
+from ewr_fenicsx.contact_laws import ContactLaws
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.elasticity import Structure, assemble_structure
+from ewr_fenicsx.errors import SceneError, nearest
+from ewr_fenicsx.interface import Interface, pair_interface
+from ewr_fenicsx.mesh import JointMesh, build_mesh
+from ewr_fenicsx.reduced_model import ReducedModel
+from ewr_fenicsx.reduction import CraigBampton, reduce_structure
+from ewr_fenicsx.scene import ModalDamping, RayleighDamping, RotationLoad, Scene
+
+Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
+
+
+@dataclass
+class Stopwatch:
+    """Times named stages and tells a progress display of them."""
+
+    progress: Progress | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        if self.progress:
+            self.progress(name, None)
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start
+        if self.progress:
+            self.progress(name, self.seconds[name])
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Everything from the scene to the reduced model; ``seconds`` by stage."""
+
+    scene: Scene
+    mesh: JointMesh
+    structure: Structure
+    interface: Interface
+    reduction: CraigBampton
+    seconds: Mapping[str, float]
+
+
+def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Chain:
+    """Builds mesh, matrices, interface and reduced model of a scene.
+
+    Args:
+        scene: What to build.
+        comm: Ranks that share the mesh; the reduced model is the same on each.
+        progress: Called as ``progress(stage, None)`` when a stage begins and ``progress(stage, seconds)`` when it ends.
+
+    Raises:
+        SceneError: The scene names a body or boundary that the mesh does not have.
+        MeshError, InterfaceError, ModesError: The geometry does not give a joint that can be solved.
+    """
+    watch = Stopwatch(progress)
+    with watch.stage("mesh"):
+        mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
+        check_names(scene, mesh)
+    with watch.stage("matrices"):
+        structure = assemble_structure(
+            mesh,
+            materials=_materials(scene, mesh),
+            thickness=scene.elasticity.thickness,
+            plane=scene.elasticity.plane,
+            degree=scene.elasticity.degree,
+            clamp=scene.supports.clamp,
+            damping=_damping(scene),
+            loads=[_load(name, load) for name, load in scene.loads.items()],
+            outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
+        )
+    with watch.stage("interface"):
+        contact = scene.contact
+        interface = pair_interface(
+            structure, contact.flanks, body_a=contact.body_a, body_b=contact.body_b, tolerance=contact.pair_tolerance
+        )
+    with watch.stage("reduction"):
+        reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
+    return Chain(scene, mesh, structure, interface, reduction, watch.seconds)
+
+
+def build_reduced_model(scene: Scene) -> ReducedModel:
+    """The reduced model of a scene.
+
+    Raises:
+        EwrError: As ``build_chain``.
+    """
+    return build_chain(scene).reduction.model
+
+
+def pose_problem(scene: Scene, model: ReducedModel) -> ContactProblem:
+    """The contact problem that a scene poses on its reduced model.
+
+    Raises:
+        ModelError: Laws, harmonics or samples do not fit together.
+    """
+    contact, solver = scene.contact, scene.solver
+    laws = ContactLaws(
+        normal=contact.normal,
+        tangential=contact.tangential,
+        friction=contact.friction,
+        normal_force=contact.normal_force,
+        initial_gap=contact.initial_gap,
+        static_friction=contact.static_friction,
+    )
+    return ContactProblem(
+        model,
+        laws,
+        frequency=scene.excitation.frequency,
+        harmonics=scene.harmonics,
+        samples=solver.samples,
+        rho_normal=solver.rho_normal,
+        rho_tangential=solver.rho_tangential,
+    )
+
+
+def check_names(scene: Scene, mesh: JointMesh) -> None:
+    """Checks that the mesh has every body and boundary that the scene names.
+
+    Raises:
+        SceneError: Names the scene's key, the name, and the nearest that the mesh has.
+    """
+    contact = scene.contact
+    bodies = {f"materials.{body}": body for body in scene.materials}
+    bodies |= {"contact.body_a": contact.body_a, "contact.body_b": contact.body_b}
+    boundaries = {f"supports.clamp[{k}]": name for k, name in enumerate(scene.supports.clamp)}
+    boundaries |= {f"contact.flanks[{k}]": name for k, name in enumerate(contact.flanks or ())}
+    boundaries |= {
+        f"{table}.{name}.boundary": entry.boundary
+        for table, entries in (("loads", scene.loads), ("outputs", scene.outputs))
+        for name, entry in entries.items()
+        if not isinstance(entry, RotationLoad)
+    }
+    for what, keys, known in (("body", bodies, mesh.bodies), ("boundary", boundaries, mesh.boundaries)):
+        for key, name in keys.items():
+            if name not in known:
+                raise SceneError(
+                    f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
+                    f"for a {what}{nearest(name, known)}; it has {', '.join(sorted(known)) or 'none'}"
+                )
+
+
+def _materials(scene: Scene, mesh: JointMesh) -> dict[str, materials.Material]:
+    given = {body: materials.Material(m.young, m.poisson, m.density) for body, m in scene.materials.items()}
+    return {body: given.get(body, materials.TITANIUM) for body in mesh.bodies}
+
+
+def _damping(scene: Scene) -> materials.Damping:
+    damping = scene.damping
+    if isinstance(damping, RayleighDamping):
+        return materials.Rayleigh(damping.alpha, damping.beta)
+    if isinstance(damping, ModalDamping):
+        return materials.PerMode(damping.ratio)
+    return materials.ModalRatios(damping.frequencies, damping.ratios)
+
+
+def _load(name: str, load) -> elasticity.LoadSpec:
+    if isinstance(load, RotationLoad):
+        return elasticity.CentrifugalForce(name, load.speed * 2 * math.pi / 60, load.centre)
+    return elasticity.EdgeForce(name, load.boundary, load.force, load.harmonic, math.radians(load.phase))

@@ -1,0 +1,201 @@
+"""The command ``ewr``: solve a scene, or tell what it holds.
+
+Exit codes: 0 done, 2 something that the user can mend (one message, no traceback), 3 no periodic solution found.
+Heavy imports wait until the scene has been read, so that help and mistakes in scenes come at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ewr_fenicsx.effects import list_effects
+from ewr_fenicsx.errors import EwrError
+from ewr_fenicsx.scene import Scene, load_scene
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from ewr_fenicsx.chain import Chain
+
+# How long a failed rank waits for the others to fail as well before it stops them [s]
+PATIENCE = 2.0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line and returns its exit code."""
+    arguments, petsc_options = parse_arguments(argv)
+    import petsc4py
+
+    petsc4py.init([sys.argv[0], *petsc_options])  # before anything else imports PETSc
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    return stop_together(comm, lambda: {"run": run_scene, "info": describe_scene}[arguments.command](arguments, comm))
+
+
+def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+    """Arguments of ``ewr``, and those left for PETSc: unknown ones with a single dash, after the scene."""
+    parser = argparse.ArgumentParser(
+        prog="ewr", description="Contact and friction in vibrating joints, by harmonic balance."
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    run = commands.add_parser(
+        "run",
+        help="solve a scene and write its results",
+        epilog="Options with a single dash after the scene go to PETSc, e.g. -ewr_snes_monitor.",
+        allow_abbrev=False,
+    )
+    run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml); docs/scenes.md lists its keys")
+    run.add_argument("--out", type=Path, metavar="DIR", help="result folder; by default results/NAME beside the scene")
+    run.add_argument("--overwrite", action="store_true", help="replace an earlier result folder")
+    info = commands.add_parser("info", help="print what a scene holds, without solving it", allow_abbrev=False)
+    info.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
+    arguments, rest = parser.parse_known_args(argv)
+    if rest and (arguments.command != "run" or not rest[0].startswith("-") or any(a.startswith("--") for a in rest)):
+        commands.choices[arguments.command].error(
+            f"unknown argument: {next((a for a in rest if a.startswith('--')), rest[0])}"
+        )
+    return arguments, rest
+
+
+def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
+    """``ewr run``: from the scene to a result folder."""
+    scene = load_scene(arguments.scene)
+    folder = arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
+    from ewr_fenicsx.chain import Stopwatch, build_chain, pose_problem
+    from ewr_fenicsx.newton import solve
+    from ewr_fenicsx.output import list_files, write_results
+    from ewr_fenicsx.result_folder import check_target
+
+    check_target(folder, overwrite=arguments.overwrite, comm=comm)
+    with show_progress(comm) as progress:
+        chain = build_chain(scene, comm, progress)
+        watch = Stopwatch(progress)
+        with watch.stage("solve"):
+            solution = solve(pose_problem(scene, chain.reduction.model), tolerance=scene.solver.tolerance)
+        with watch.stage("write"):
+            files = write_results(folder, chain, solution, overwrite=arguments.overwrite)
+    if comm.rank == 0:
+        print(solution.summary(), list_files(files), sep="\n\n")
+    return 0
+
+
+def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
+    """``ewr info``: counts and effects, without solving."""
+    scene = load_scene(arguments.scene)
+    from ewr_fenicsx.chain import build_chain
+
+    with show_progress(comm) as progress:
+        chain = build_chain(scene, comm, progress)
+    counts = count(chain)  # the mesh counts are collective
+    if comm.rank == 0:
+        console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)  # a file has no width to wrap to
+        console.print(scene.title or str(arguments.scene), style="bold", markup=False)
+        table = Table("", "", show_header=False, box=None, pad_edge=False)
+        for name, value in counts.items():
+            table.add_row(name, value)
+        console.print(table)
+        console.print()
+        console.print(tabulate_effects(scene))
+    return 0
+
+
+def count(chain: Chain) -> dict[str, str]:
+    """What a chain holds, name -> figure."""
+    from ewr_fenicsx.balance import HarmonicBalance
+    from ewr_fenicsx.chain import pose_problem
+
+    scene, reduction, interface = chain.scene, chain.reduction, chain.interface
+    problem = pose_problem(scene, reduction.model)
+    pairs = [f"{flank} {int((interface.flank_of_pair == k).sum())}" for k, flank in enumerate(interface.flanks)]
+    quality, modes = chain.mesh.smallest_scaled_jacobian, reduction.fixed_interface_frequencies
+    orders = ", ".join(map(str, problem.basis.orders))
+    unknowns = HarmonicBalance(problem.system).size if problem.system.laws else 0
+    return {
+        "nodes": f"{chain.structure.space.dofmap.index_map.size_global}",
+        "cells": f"{chain.mesh.domain.topology.index_map(2).size_global}, smallest scaled Jacobian {quality:.2f}",
+        "pairs": f"{len(interface.area)} ({', '.join(pairs)})",
+        "modes": f"{len(modes)} fixed-interface modes up to {max(modes):.0f} Hz",
+        "first full-stick mode": f"{reduction.full_stick.frequency[0]:.1f} Hz",
+        "coordinates": f"{reduction.model.size}, {reduction.model.rigid_modes.shape[1]} rigid-body modes",
+        "harmonics": f"{orders} of {problem.frequency:g} Hz, {problem.basis.samples} samples",
+        "unknowns": f"{unknowns} of the contact solve",
+    }
+
+
+def tabulate_effects(scene: Scene) -> Table:
+    """Table of the effects of a scene: on or off, and why."""
+    table = Table("effect", "", "why", box=None, pad_edge=False, header_style="bold")
+    for effect in list_effects(scene):
+        table.add_row(effect.name, "on" if effect.on else "off", effect.why, style=None if effect.on else "dim")
+    return table
+
+
+@contextmanager
+def show_progress(comm: MPI.Comm) -> Iterator[Callable[[str, float | None], None] | None]:
+    """Stages on standard error of rank 0: live on a terminal, one plain line each elsewhere; nothing on other ranks."""
+    console = Console(stderr=True, highlight=False)
+    if comm.rank != 0:
+        yield None
+    elif not console.is_terminal:
+        yield lambda stage, seconds: None if seconds is None else console.print(f"{stage:<12}{seconds:8.2f} s")
+    else:
+        with Progress(
+            SpinnerColumn(finished_text="✓"), TextColumn("{task.description:<12}"), TimeElapsedColumn(), console=console
+        ) as display:
+            tasks = {}
+
+            def progress(stage: str, seconds: float | None) -> None:
+                if seconds is None:
+                    tasks[stage] = display.add_task(stage, total=1)
+                else:
+                    display.update(tasks[stage], completed=1)
+
+            yield progress
+
+
+def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
+    """Runs ``action`` on all ranks; a failure on any of them ends all of them, with one message.
+
+    Returns:
+        The action's exit code, or that of its error. Does not return where other ranks still wait for this one.
+    """
+    errors = comm.Dup()  # messages about failures must not meet those of the work
+    try:
+        return action()
+    except EwrError as error:
+        message, code = f"ewr: {error}", error.exit_code
+    except KeyboardInterrupt:
+        message, code = "ewr: interrupted", 130
+    except Exception:
+        if comm.size == 1:
+            raise
+        message, code = traceback.format_exc(), 1
+    together = everyone_failed(errors)
+    if comm.rank == 0 or not together:
+        print(message, file=sys.stderr, flush=True)
+    if not together:
+        comm.Abort(code)
+    return code
+
+
+def everyone_failed(comm: MPI.Comm) -> bool:
+    """Whether all ranks call this within a short time; lower ranks give up first, so that one speaks for all."""
+    request = comm.Ibarrier()
+    deadline = time.monotonic() + PATIENCE + 0.5 * comm.rank
+    while not request.Test():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True

@@ -1,0 +1,235 @@
+"""Dynamic condensation: the motion at the contact rows as a function of the contact forces, harmonic by harmonic.
+
+``q_h = H_h lam_h + q_h^f`` with ``H_h = B (K + i h w D - (h w)^2 M)^-1 B^T``; for floating bodies the mean motion has
+in addition a rigid part ``G alpha`` and the forces must balance: ``G^T lam_0 + R^T f_0 = 0``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+
+GeneralisedInverse = Literal["inertia relief", "pinned"]
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicCompliance:
+    """Compliance of ``m`` contact rows at ``n_h`` harmonics of one frequency.
+
+    Attributes:
+        orders: Harmonics.
+        omega: Angular frequency [rad/s].
+        flexibility: ``(n_h, m, m)`` complex ``H_h`` [m/N].
+        free_motion: ``(n_h, m)`` complex motion under the loads alone [m].
+        rigid_motion: ``(m, r)`` motion of the rows by the rigid modes ``G``; each column's largest entry is 1.
+            No columns where the mean is not among the harmonics.
+        rigid_load: ``(r,)`` work of the mean load on the rigid modes [N].
+        outputs: Name -> ``(n_h, m + 1 + r)`` complex: the output's reaction to row forces, to the load, to rigid modes.
+    """
+
+    orders: tuple[int, ...]
+    omega: float
+    flexibility: ComplexArray
+    free_motion: ComplexArray
+    rigid_motion: RealArray
+    rigid_load: RealArray
+    outputs: Mapping[str, ComplexArray]
+
+    def motion(self, forces: ComplexArray, rigid: RealArray) -> ComplexArray:
+        """Motion ``(n_h, m)`` of the rows [m] under force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)``."""
+        motion = np.matmul(self.flexibility, forces[:, :, None])[:, :, 0] + self.free_motion
+        if rigid.size:
+            motion[0] += self.rigid_motion @ rigid
+        return motion
+
+    def output(self, name: str, forces: ComplexArray, rigid: RealArray) -> ComplexArray:
+        """One-sided amplitudes ``(n_h,)`` of an output under the same arguments as ``motion``.
+
+        Raises:
+            KeyError: The model has no output of that name.
+        """
+        row = self.outputs[name]
+        m = forces.shape[1]
+        amplitudes = np.einsum("hm,hm->h", row[:, :m], forces) + row[:, m]
+        if rigid.size:
+            amplitudes[0] += row[0, m + 1 :] @ rigid
+        return amplitudes
+
+
+def condense(
+    model: ReducedModel,
+    rows: RealArray,
+    load: Mapping[int, ComplexArray],
+    omega: float,
+    orders: tuple[int, ...],
+    generalised_inverse: GeneralisedInverse = "inertia relief",
+) -> DynamicCompliance:
+    """Compliance of contact rows at the harmonics of one frequency: one factorisation a harmonic.
+
+    Args:
+        model: The reduced model.
+        rows: ``(m, n)`` contact rows ``B``.
+        load: Harmonic -> ``(n,)`` complex amplitude [N].
+        omega: Angular frequency [rad/s], positive unless only the mean is asked for.
+        orders: Harmonics.
+        generalised_inverse: How the singular static stiffness of floating bodies is inverted; no result depends on it.
+    """
+    if omega <= 0 and orders != (0,):
+        raise ModelError(f"angular frequency {omega:g} rad/s; a periodic motion needs a positive one")
+    m, names = rows.shape[0], list(model.outputs)
+    readers = np.vstack([rows, *(model.outputs[name] for name in names)])
+    modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))
+    responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
+    for j, h in enumerate(orders):
+        responses[j, :, :m] = receptance(model, h * omega, readers, rows.T, generalised_inverse)
+        if h in load:
+            responses[j, :, m:] = receptance(model, h * omega, readers, load[h][:, None], generalised_inverse)
+    if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
+        motion = readers @ modes
+        stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)
+        work = np.column_stack([motion[:m].T, modes.T @ load.get(0, np.zeros(model.size)).real])
+        responses[0] += motion @ work / stiffness
+    rigid = np.zeros((len(orders), readers.shape[0], modes.shape[1]))
+    rigid[0] = readers @ modes
+    return DynamicCompliance(
+        orders=orders,
+        omega=omega,
+        flexibility=np.ascontiguousarray(responses[:, :m, :m]),
+        free_motion=responses[:, :m, m].copy(),
+        rigid_motion=rows @ modes,
+        rigid_load=modes.T @ load.get(0, np.zeros(model.size)).real,
+        outputs={n: np.concatenate([responses[:, m + i], rigid[:, m + i]], axis=1) for i, n in enumerate(names)},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class NormalModes:
+    """Undamped modes of a reduced model: with them every frequency's compliance is one product.
+
+    Scaled to unit stiffness rather than unit mass, so that massless coordinates are modes like others.
+
+    Attributes:
+        shapes: ``(n, n)``.
+        stiffness, mass, damping: ``(n,)`` modal; stiffness exactly zero for rigid modes.
+    """
+
+    shapes: RealArray
+    stiffness: RealArray
+    mass: RealArray
+    damping: RealArray
+
+
+@lru_cache(maxsize=8)
+def find_normal_modes(model: ReducedModel) -> NormalModes | None:
+    """All modes of the model, or None where they do not uncouple it: damping not proportional.
+
+    Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep their
+    digits, whatever the highest frequency of the model.
+    """
+    shift = 1e-6 * np.trace(model.stiffness) / np.trace(model.mass) or 1.0
+    shifted = model.stiffness + shift * model.mass
+    scale = 1 / np.sqrt(np.diag(shifted))
+    try:
+        mass, shapes = scipy.linalg.eigh(scale[:, None] * model.mass * scale, scale[:, None] * shifted * scale)
+    except np.linalg.LinAlgError:
+        return None
+    shapes *= scale[:, None]
+    stiffness = 1 - shift * mass
+    stiffness[model.size - model.rigid_modes.shape[1] :] = 0.0  # ascending in mass: the rigid modes come last
+    damping = shapes.T @ model.damping @ shapes
+    own = np.diag(damping).copy()
+    rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(model.damping) @ np.abs(shapes))
+    coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
+    np.fill_diagonal(coupling, 0.0)
+    return None if np.any(coupling > 0) else NormalModes(shapes, stiffness, mass, own)
+
+
+def receptance(
+    model: ReducedModel,
+    omega: float,
+    readers: RealArray,
+    forces: ComplexArray,
+    generalised_inverse: GeneralisedInverse = "inertia relief",
+) -> ComplexArray:
+    """``C Z(omega)^-1 F``: what rows ``C (p, n)`` read of the response to harmonic forces ``F (n, k)``.
+
+    By modal superposition where the modes uncouple the model, else by one factorisation of ``Z``; at zero frequency
+    a generalised inverse.
+
+    Returns:
+        ``(p, k)`` complex.
+    """
+    modes = find_normal_modes(model)
+    if modes is None or (omega == 0 and generalised_inverse == "pinned"):
+        if omega == 0:
+            return readers @ solve_static(model, forces, generalised_inverse)
+        impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
+        return readers @ scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True)
+    impedance = modes.stiffness - omega**2 * modes.mass + 1j * omega * modes.damping
+    responds = impedance != 0 if omega == 0 else np.ones(impedance.size, dtype=bool)
+    if not np.all(impedance[responds]):
+        raise ModelError(f"{omega / 2 / np.pi:g} Hz hits an undamped mode exactly; give the model some damping")
+    gain = np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
+    read, excited = readers @ modes.shapes, modes.shapes.T @ forces
+    result = np.empty((read.shape[0], excited.shape[1]), dtype=complex)
+    if np.iscomplexobj(excited):
+        np.matmul(read * gain, excited, out=result)
+    else:  # real products: half the work of complex ones
+        result.real = (read * gain.real) @ excited
+        result.imag = (read * gain.imag) @ excited
+    return result
+
+
+def solve_static(
+    model: ReducedModel, forces: ComplexArray, generalised_inverse: GeneralisedInverse = "inertia relief"
+) -> ComplexArray:
+    """``K^+ F``: static coordinates ``(n, k)``; for balanced forces the exact response up to a rigid motion.
+
+    Args:
+        model: The model, with ``r`` rigid modes.
+        forces: ``(n, k)`` forces [N].
+        generalised_inverse: ``"inertia relief"`` balances each force by d'Alembert forces and leaves no rigid motion;
+            ``"pinned"`` holds ``r`` coordinates that the rigid modes move most independently.
+    """
+    modes = model.rigid_modes
+    if modes.shape[1] == 0:
+        return scipy.linalg.solve(model.stiffness, forces, assume_a="sym", check_finite=False)
+    if generalised_inverse == "pinned":
+        pins = scipy.linalg.qr(modes.T, pivoting=True, mode="r")[1][: modes.shape[1]]
+        free = np.setdiff1d(np.arange(model.size), pins)
+        response = np.zeros(forces.shape, dtype=forces.dtype)
+        response[free] = scipy.linalg.solve(model.stiffness[np.ix_(free, free)], forces[free], assume_a="sym")
+        return response
+    modes = modes @ np.linalg.inv(np.linalg.cholesky(modes.T @ model.mass @ modes)).T
+    inertia = model.mass @ modes
+    grounded = model.stiffness + np.abs(model.stiffness).max() / np.abs(inertia).max() ** 2 * (inertia @ inertia.T)
+    balanced = forces - inertia @ (modes.T @ forces)
+    response = scipy.linalg.solve(grounded, balanced, assume_a="sym", check_finite=False)
+    return response - modes @ (inertia.T @ response)
+
+
+def scale_rigid_modes(modes: RealArray, rows: RealArray) -> RealArray:
+    """Rigid modes ``(n, r)`` orthogonalised as the contact rows see them, each with a largest row motion of 1.
+
+    Raises:
+        ModelError: A rigid motion moves no contact row: nothing could ever hold it.
+    """
+    if modes.shape[1] == 0:
+        return modes
+    modes = modes / np.abs(rows @ modes).max(axis=0, initial=1e-300)
+    _, values, turn = np.linalg.svd(rows @ modes, full_matrices=True)
+    if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
+        raise ModelError(
+            f"{modes.shape[1]} rigid motions of floating bodies, but the contact rows tell only "
+            f"{int((values > 1e-10 * values[0]).sum())} of them apart; clamp the body, bond a flank or add contact pairs"
+        )
+    modes = modes @ turn.T
+    return modes / np.abs(rows @ modes).max(axis=0)

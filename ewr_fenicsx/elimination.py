@@ -1,0 +1,182 @@
+"""Elimination of the contact rows that do not change status over the period.
+
+Their law derivatives are constant in time, so their equations are uncoupled in harmonics: each harmonic is a small
+complex system. What is left is real and dense: the rows that do change, and the rigid coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ewr_fenicsx.compliance import DynamicCompliance
+from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+
+
+class Equations(Protocol):
+    """What the linear algebra needs to know of a harmonic balance with ``m`` rows and ``r`` rigid coordinates.
+
+    Attributes:
+        system, basis, compliance: What is balanced.
+        rows: m.
+        rigid: r.
+        rate: ``(n_h,)`` factor of each harmonic in a time derivative [1/s].
+        rigid_motion: ``(m, r)`` motion of the rows by the scaled rigid coordinates [m/N].
+        static_row, static_force_row, static_displacement_row: ``(m,)`` weights of the mean equations.
+        unknown: ``(n_c, m)`` which coefficients are unknown.
+    """
+
+    system: ContactSystem
+    basis: FourierBasis
+    compliance: DynamicCompliance
+    rows: int
+    rigid: int
+    rate: ComplexArray
+    rigid_motion: RealArray
+    static_row: RealArray
+    static_force_row: RealArray
+    static_displacement_row: RealArray
+    unknown: np.ndarray
+
+# Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
+REDUNDANCY = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Derivative:
+    """Derivative of one law's rows by one variable at the columns paired with them."""
+
+    rows: np.ndarray  # (K,)
+    columns: np.ndarray  # (K,)
+    variable: str  # "force", "displacement" or "velocity"
+    values: RealArray  # (n_t, K)
+
+
+def apply_harmonics(basis: FourierBasis, T: RealArray, V: ComplexArray) -> RealArray:
+    """``T . V``: law derivatives T applied to variables that depend on the mixed forces, harmonic by harmonic, by V.
+
+    Args:
+        basis: The harmonics.
+        T: ``(K, n_c, n_c)`` on real coefficients.
+        V: ``(n_h, K, M)`` complex.
+
+    Returns:
+        ``(K, n_c, n_c, M)``.
+    """
+    K, n_c, M = T.shape[0], basis.coefficients, V.shape[2]
+    product = np.empty((K, n_c, n_c, M))
+    first = 0
+    if basis.has_mean:
+        np.multiply(T[:, :, :1], V[0].real[:, None, :], out=product[:, :, 0])
+        first = 1
+    V = np.moveaxis(V[first:], 0, 1)
+    real_form = np.empty((K, V.shape[1], 2, 2, M))
+    real_form[:, :, 0, 0] = real_form[:, :, 1, 1] = V.real
+    real_form[:, :, 1, 0] = V.imag
+    np.negative(V.imag, out=real_form[:, :, 0, 1])
+    left = T[:, :, first:].reshape(K, n_c, -1, 2).transpose(0, 2, 1, 3)
+    out = product[:, :, first:].reshape(K, n_c, -1, 2 * M).transpose(0, 2, 1, 3)
+    np.matmul(left, real_form.reshape(K, -1, 2, 2 * M), out=out)
+    return product
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Steady forces as functions of the mixed ones: ``d_s = offset - reaction d_m - rigid a``, harmonic by harmonic.
+
+    All in newtons: rigid coordinates are taken in units of the mean flexibility.
+    """
+
+    balance: Equations
+    steady: np.ndarray  # (c,)
+    mixed: np.ndarray  # (M,)
+    reaction: ComplexArray  # (n_h, c, M)
+    offset: ComplexArray  # (n_h, c)
+    rigid: RealArray  # (c, r)
+
+    @classmethod
+    def of(
+        cls, balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, load: RealArray
+    ) -> Elimination:
+        """Eliminate the rows marked in ``steady`` ``(m,)`` under a right side ``(n_c, m)``."""
+        compliance, basis = balance.compliance, balance.basis
+        c, mixed = np.flatnonzero(steady), np.flatnonzero(~steady)
+        n_h = len(basis.orders)
+        reaction = np.zeros((n_h, c.size, mixed.size), dtype=complex)
+        offset, rigid = np.zeros((n_h, c.size), dtype=complex), np.zeros((c.size, balance.rigid))
+        if c.size == 0:
+            return cls(balance, c, mixed, reaction, offset, rigid)
+        place = np.full(balance.rows, -1)
+        place[c] = np.arange(c.size)
+        right = basis.to_amplitudes(load)[:, c]
+        G = balance.rigid_motion
+        for j, h in enumerate(basis.orders):
+            H = compliance.flexibility[j]
+            A, toward_rigid = np.zeros((c.size, balance.rows), dtype=complex), np.zeros((c.size, balance.rigid))
+            for d in derivatives:
+                pick = np.flatnonzero(place[d.rows] >= 0)
+                at, columns, value = place[d.rows[pick]], d.columns[pick], d.values[0, pick]
+                if d.variable == "force":
+                    A[at, columns] += value
+                    continue
+                if d.variable == "velocity":
+                    value = value * balance.rate[j]
+                    if h == 0:
+                        value = value + balance.static_displacement_row[d.rows[pick]]
+                A[at] += value[:, None] * H[columns]
+                A[at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
+                if h == 0:
+                    toward_rigid[at] += value.real[:, None] * G[columns]
+            if h == 0:
+                weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
+                A *= weight[:, None]
+                A[np.arange(c.size), c] += balance.static_force_row[c]
+                toward_rigid *= weight[:, None]
+            solved = np.linalg.solve(A[:, c], np.column_stack([A[:, mixed], right[j], toward_rigid]))
+            reaction[j], offset[j] = solved[:, : mixed.size], solved[:, mixed.size]
+            if h == 0:
+                rigid[:] = solved[:, mixed.size + 1 :].real
+        return cls(balance, c, mixed, reaction, offset, rigid)
+
+    def follow(self, variable: str, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
+        """Forces or motions at ``columns`` ``(K,)``: on the mixed forces, by themselves, and on the rigid coordinates.
+
+        Returns:
+            ``(n_h, K, M)``, ``(n_h, K)`` and ``(K, r)``.
+        """
+        if variable == "force":
+            place = np.searchsorted(self.steady, columns)
+            return -self.reaction[:, place], self.offset[:, place], -self.rigid[place]
+        H = self.balance.compliance.flexibility[:, columns]
+        H_m, H_c = H[:, :, self.mixed].copy(), H[:, :, self.steady]
+        own = np.searchsorted(self.mixed, columns)
+        near = (own < self.mixed.size) & (self.mixed[np.minimum(own, self.mixed.size - 1)] == columns)
+        H_m[:, np.flatnonzero(near), own[near]] += REDUNDANCY * self.balance.system.flexibility[columns[near]]
+        G = self.balance.rigid_motion[columns]
+        return H_m - H_c @ self.reaction, np.einsum("hkc,hc->hk", H_c, self.offset), G - H_c[0].real @ self.rigid
+
+    def rigid_balance(self) -> tuple[RealArray, RealArray, RealArray]:
+        """``G^T d_0`` on the mixed mean forces ``(r, M)``, on the rigid coordinates ``(r, r)`` and by itself ``(r,)``."""
+        G = self.balance.compliance.rigid_motion
+        steady = G[self.steady].T
+        return G[self.mixed].T - steady @ self.reaction[0].real, -steady @ self.rigid, steady @ self.offset[0].real
+
+    def expand(self, solution: RealArray) -> RealArray:
+        """The scaled unknowns ``(size,)`` from the mixed coefficients and rigid coordinates solved for."""
+        balance, basis = self.balance, self.balance.basis
+        coefficients = np.zeros(balance.unknown.shape)
+        mixed = solution[: solution.size - balance.rigid].reshape(basis.coefficients, self.mixed.size)
+        alpha = solution[solution.size - balance.rigid :]
+        coefficients[:, self.mixed] = mixed
+        if self.steady.size:
+            amplitudes = basis.to_amplitudes(coefficients[:, self.mixed])
+            steady = self.offset - np.einsum("hcm,hm->hc", self.reaction, amplitudes)
+            if balance.rigid:
+                steady[0] -= self.rigid @ alpha
+            coefficients[:, self.steady] = basis.to_coefficients(steady)
+        return np.concatenate([coefficients[balance.unknown], alpha])

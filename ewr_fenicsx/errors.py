@@ -1,0 +1,65 @@
+"""Everything the package raises on purpose.
+
+Each message names the thing, its value, what was expected and what to do. The command line prints it alone,
+without a traceback, and exits with ``exit_code``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class EwrError(Exception):
+    """Base of all errors that a user can mend."""
+
+    exit_code = 2
+
+
+class SceneError(EwrError):
+    """A scene file or one of its values makes no sense."""
+
+
+class MeshError(EwrError):
+    """A geometry builder or mesh file does not give what the scene asks of it."""
+
+
+class InterfaceError(EwrError):
+    """The two sides of a flank cannot be paired node to node."""
+
+
+class ModesError(EwrError):
+    """An eigenvalue solve did not deliver the modes asked for, or not accurately."""
+
+
+class ModelError(EwrError, ValueError):
+    """A reduced model, a law or a problem is inconsistent: shapes, signs, symmetry, missing rows."""
+
+
+class UnheldBody(EwrError):
+    """A floating body that contact cannot hold under the static load."""
+
+
+class OutputError(EwrError):
+    """Results cannot be written where they were asked for."""
+
+
+class NotConverged(EwrError):
+    """The contact solve found no periodic solution.
+
+    Attributes:
+        best: The ``PeriodicSolution`` with the smallest residual met on the way; its ``reason`` and
+            ``fallbacks`` say what was tried.
+    """
+
+    exit_code = 3
+
+    def __init__(self, message: str, best=None):
+        super().__init__(message)
+        self.best = best
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint at the known name closest to an unknown one, e.g. ``'; did you mean "friction"?'``, or ``''``."""
+    found = get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
+    return f'; did you mean "{found[0]}"?' if found else ""

@@ -1,0 +1,152 @@
+"""Fourier basis: between one-sided complex amplitudes and samples over a period, and how a product acts on amplitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+
+from ewr_fenicsx.errors import ModelError
+
+RealArray = np.ndarray
+ComplexArray = np.ndarray
+
+
+@dataclass(frozen=True)
+class FourierBasis:
+    """The harmonics kept, and the samples a period at which the contact laws are evaluated.
+
+    Amplitude arrays are ``(n_h, ...)`` complex, one row a harmonic. Coefficient arrays are the same in real numbers,
+    ``(n_c, ...)``: for each harmonic its real part, then, from harmonic 1 on, its imaginary part.
+
+    Args:
+        orders: Harmonics kept, ascending.
+        samples: Samples a period, more than twice the highest harmonic.
+    """
+
+    orders: tuple[int, ...]
+    samples: int
+
+    @property
+    def coefficients(self) -> int:
+        """Real coefficients an unknown, ``n_c``."""
+        return sum(1 if h == 0 else 2 for h in self.orders)
+
+    @cached_property
+    def has_mean(self) -> bool:
+        """Whether harmonic 0 is kept; it then comes first."""
+        return self.orders[0] == 0
+
+    @cached_property
+    def slot(self) -> np.ndarray:
+        """``(n_c,)`` index of the harmonic that each real coefficient belongs to."""
+        return np.repeat(np.arange(len(self.orders)), [1 if h == 0 else 2 for h in self.orders])
+
+    @cached_property
+    def is_real_part(self) -> np.ndarray:
+        """``(n_c,)`` True where the coefficient is a real part."""
+        return np.concatenate([[True] if h == 0 else [True, False] for h in self.orders])
+
+    @cached_property
+    def _synthesis(self) -> RealArray:
+        phase = 2 * np.pi * np.outer(np.arange(self.samples), self.orders) / self.samples
+        return np.where(self.is_real_part, np.cos(phase)[:, self.slot], -np.sin(phase)[:, self.slot])
+
+    @cached_property
+    def _analysis(self) -> RealArray:
+        weight = np.where(np.array(self.orders)[self.slot] == 0, 1.0, 2.0) / self.samples
+        return np.ascontiguousarray((self._synthesis * weight).T)
+
+    def to_coefficients(self, amplitudes: ComplexArray) -> RealArray:
+        """``(n_h, ...)`` complex amplitudes as ``(n_c, ...)`` real coefficients."""
+        selected = amplitudes[self.slot]
+        shape = (-1,) + (1,) * (amplitudes.ndim - 1)
+        return np.where(self.is_real_part.reshape(shape), selected.real, selected.imag)
+
+    def to_amplitudes(self, coefficients: RealArray) -> ComplexArray:
+        """``(n_c, ...)`` real coefficients as ``(n_h, ...)`` complex amplitudes."""
+        amplitudes = coefficients[self.is_real_part].astype(complex)
+        amplitudes[1 if self.has_mean else 0 :] += 1j * coefficients[~self.is_real_part]
+        return amplitudes
+
+    def synthesise(self, amplitudes: ComplexArray) -> RealArray:
+        """Samples ``(n_t, m)`` over one period of signals with amplitudes ``(n_h, m)``."""
+        return self._synthesis @ self.to_coefficients(amplitudes)
+
+    def project(self, samples: RealArray) -> RealArray:
+        """Real coefficients ``(n_c, m)`` of signals sampled over one period, ``(n_t, m)``."""
+        return self._analysis @ samples
+
+    def multiplication(self, weights: RealArray) -> RealArray:
+        """Matrices of "multiply by a weight in time, then project", from the weights' Fourier coefficients.
+
+        Toeplitz plus Hankel in the harmonics: one FFT a signal, no products of sample size.
+
+        Args:
+            weights: ``(n_t, m)`` samples of the weights.
+
+        Returns:
+            ``(m, n_c, n_c)`` real matrices on real coefficients.
+        """
+        spectrum = scipy.fft.fft(weights, axis=0) / self.samples
+        orders = np.array(self.orders)
+        difference = spectrum[np.subtract.outer(orders, orders) % self.samples]
+        total = spectrum[np.add.outer(orders, orders) % self.samples]
+        if self.has_mean:  # the mean is a plain average; a harmonic's amplitude is twice its average with exp(-i h tau)
+            difference[0] *= 0.5
+            total[0] *= 0.5
+        difference, total = np.moveaxis(difference, -1, 0), np.moveaxis(total, -1, 0)
+        pick = np.ix_(np.arange(weights.shape[1]), self.slot, self.slot)
+        difference, total = difference[pick], total[pick]
+        row, column = self.is_real_part[:, None], self.is_real_part[None, :]
+        return np.where(
+            row,
+            np.where(column, (difference + total).real, (total - difference).imag),
+            np.where(column, (difference + total).imag, (difference - total).real),
+        )
+
+    def differentiate_columns(self, matrices: RealArray, omega: float) -> RealArray:
+        """Matrices ``(..., n_c)`` that act on velocities, as matrices that act on displacements."""
+        rate = omega * np.array(self.orders)[self.slot]
+        real = np.flatnonzero(self.is_real_part & (rate > 0))
+        result = np.zeros_like(matrices)
+        result[..., real] = rate[real] * matrices[..., real + 1]
+        result[..., real + 1] = -rate[real] * matrices[..., real]
+        return result
+
+
+def sample_amplitudes(amplitudes: Mapping[int, ComplexArray], columns: np.ndarray, samples: int) -> RealArray:
+    """Samples ``(samples, K)`` over a period of given signals, harmonic -> ``(m,)`` amplitudes, at some columns ``(K,)``."""
+    phase = 2j * np.pi * np.arange(samples) / samples
+    signal = np.zeros((samples, columns.size))
+    for h, amplitude in amplitudes.items():
+        signal += (np.exp(h * phase)[:, None] * amplitude[columns]).real
+    return signal
+
+
+def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> FourierBasis:
+    """Basis of harmonics ``0..N`` or of those listed.
+
+    Args:
+        harmonics: ``N`` or a sequence such as ``(1, 3, 5)``.
+        samples: Samples a period; by default a power of two of at least 32 a highest harmonic, from 128.
+
+    Raises:
+        ModelError: No harmonic, a repeated or negative one, or too few samples to tell them apart.
+    """
+    if isinstance(harmonics, (int, np.integer)):
+        if harmonics < 0:
+            raise ModelError(f"harmonics = {harmonics}; give the highest harmonic N >= 0, or a list of harmonics")
+        orders = tuple(range(int(harmonics) + 1))
+    else:
+        orders = tuple(sorted(harmonics))
+    if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or any(int(h) != h for h in orders):
+        raise ModelError(f"harmonics = {harmonics!r}; give distinct whole numbers from 0")
+    if samples is None:
+        samples = max(128, 1 << (32 * int(orders[-1]) - 1).bit_length()) if orders[-1] else 1
+    if samples <= 2 * orders[-1]:
+        raise ModelError(f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}")
+    return FourierBasis(tuple(int(h) for h in orders), int(samples))

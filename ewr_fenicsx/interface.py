@@ -1,0 +1,204 @@
+"""The joint: which nodes of the two bodies face each other, in which frame, and how far they part.
+
+Flanks are found by name, pairs by coordinates, globally: the two sides of a flank may live on different MPI ranks.
+Every rank holds the same interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import dolfinx
+import numpy as np
+import scipy.sparse
+from scipy.spatial import cKDTree
+
+from ewr_fenicsx import elasticity
+from ewr_fenicsx.errors import InterfaceError, nearest
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Pairs of nodes, ordered by flank and then along the flank's tangent.
+
+    Attributes:
+        flanks: Names.
+        flank_of_pair: Index into ``flanks``, ``(K_c,)``.
+        position: ``(K_c, 2)`` [m].
+        normal: Outward unit normal of body A, ``(K_c, 2)``.
+        tangent: The normal turned by +90 degrees, ``(K_c, 2)``.
+        area: Tributary area, integral of the node's shape function times the thickness, ``(K_c,)`` [m^2].
+        nodes_a: Global node numbers on body A, ``(K_c,)``.
+        nodes_b: Global node numbers on body B, ``(K_c,)``.
+        normal_gap: ``(K_c, all dofs)``: ``q_N = normal_gap @ u = (u_b - u_a).n``, opening is positive.
+        tangential_slip: ``(K_c, all dofs)``: ``q_T = tangential_slip @ u = (u_a - u_b).t``.
+    """
+
+    flanks: tuple[str, ...]
+    flank_of_pair: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+    area: np.ndarray
+    nodes_a: np.ndarray
+    nodes_b: np.ndarray
+    normal_gap: scipy.sparse.csr_matrix
+    tangential_slip: scipy.sparse.csr_matrix
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The nodes of one body on one flank, gathered on every rank."""
+
+    nodes: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    area: np.ndarray
+
+
+def pair_interface(
+    structure: elasticity.Structure,
+    flanks: Sequence[str] | None = None,
+    body_a: str = "blade",
+    body_b: str = "disk",
+    tolerance: float = 1e-6,
+) -> Interface:
+    """Pairs the nodes of two bodies across their flanks.
+
+    Args:
+        structure: Of the mesh that holds both bodies.
+        flanks: Names of the boundaries that hold the curves of both sides; None: all that touch both bodies.
+        body_a: The body on which the normals point outward.
+        body_b: The other one.
+        tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
+
+    Raises:
+        InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
+            tolerance, a node shared by both bodies or by two flanks.
+    """
+    mesh = structure.mesh
+    for body in (body_a, body_b):
+        if body not in mesh.bodies:
+            raise InterfaceError(
+                f'no body named "{body}"; there are {", ".join(mesh.bodies)}{nearest(body, mesh.bodies)}'
+            )
+    if body_a == body_b:
+        raise InterfaceError(f'both sides of the joint are on the same body, "{body_a}"; name two')
+    for flank in flanks or ():
+        if flank not in mesh.boundaries:
+            raise InterfaceError(
+                f'no flank named "{flank}"; there are {", ".join(mesh.boundaries)}{nearest(flank, mesh.boundaries)}'
+            )
+    # ranks must go through the same collective calls in the same order
+    sides = {
+        name: tuple(_gather_side(structure, name, body) for body in (body_a, body_b))
+        for name in (sorted(mesh.boundaries) if flanks is None else flanks)
+    }
+    if flanks is None:
+        sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
+        if not sides:
+            raise InterfaceError(
+                f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
+                "group that holds the curves of both bodies"
+            )
+    names = tuple(sides)
+    paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
+    flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
+    nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
+    _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
+    normal = np.concatenate([a.normal for a, _ in paired])
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    size = structure.mass.getSize()[0]
+    return Interface(
+        names,
+        flank_of_pair,
+        np.concatenate([a.position for a, _ in paired]),
+        normal,
+        tangent,
+        np.concatenate([a.area for a, _ in paired]),
+        nodes_a,
+        nodes_b,
+        _relative_motion(nodes_b, nodes_a, normal, size),
+        _relative_motion(nodes_a, nodes_b, tangent, size),
+    )
+
+
+def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Side:
+    """The nodes of one body on one boundary, from all ranks, in no particular order (but the same everywhere)."""
+    mesh, space = structure.mesh, structure.space
+    domain = mesh.domain
+    facets = elasticity.boundary_facets(mesh, flank)
+    domain.topology.create_connectivity(1, 2)
+    cells_of = domain.topology.connectivity(1, 2)
+    tag = mesh.bodies[body]
+    cells = domain.topology.index_map(2)
+    in_body = np.zeros(cells.size_local + cells.num_ghosts, dtype=bool)
+    in_body[mesh.cell_tags.find(tag)] = True
+    mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
+
+    area = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2] * structure.thickness
+    normal = elasticity.integrate_over_edge(space, mine).array.reshape(-1, 2)
+    local = dolfinx.fem.locate_dofs_topological(space, 1, mine)
+    local = np.unique(local[local < space.dofmap.index_map.size_local])
+    columns = (
+        elasticity.local_to_global(space, local),
+        space.tabulate_dof_coordinates()[local, :2],
+        normal[local],
+        area[local],
+    )
+    nodes, position, normal, area = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return _Side(nodes, position, np.divide(normal, length, out=normal, where=length > 0), area)
+
+
+def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
+    """Both sides of a flank, ordered along the tangent of A, node by node."""
+    shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
+    if len(shared):
+        x, y = a.position[shared[0]]
+        raise InterfaceError(
+            f'flank "{name}": {body_a} and {body_b} share {len(shared)} nodes, e.g. at ({x:.6g}, {y:.6g}) '
+            "m; coincident nodes of a joint must stay distinct"
+        )
+    if len(a.nodes) != len(b.nodes) or not len(a.nodes):
+        raise InterfaceError(
+            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; '
+            "give both curves the same transfinite count"
+        )
+    mean = a.normal.mean(axis=0)
+    order = np.argsort(a.position @ np.array([-mean[1], mean[0]]), kind="stable")
+    length = np.linalg.norm(np.ptp(a.position, axis=0))
+    distance, partner = cKDTree(b.position).query(a.position[order])
+    worst = int(np.argmax(distance))
+    if distance[worst] > tolerance * length or len(set(partner)) != len(partner):
+        x, y = a.position[order[worst]]
+        raise InterfaceError(
+            f'flank "{name}": the {body_a} node at ({x:.6g}, {y:.6g}) m is {distance[worst]:.3g} m away '
+            f"from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
+            "the same end points and the same transfinite spacing"
+        )
+    return (
+        _Side(a.nodes[order], a.position[order], a.normal[order], a.area[order]),
+        _Side(b.nodes[partner], b.position[partner], b.normal[partner], b.area[partner]),
+    )
+
+
+def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:
+    for nodes in (nodes_a, nodes_b):
+        _, first, count = np.unique(nodes, return_index=True, return_counts=True)
+        if (count > 1).any():
+            k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2]
+            raise InterfaceError(
+                f'flanks "{names[flank_of_pair[k]]}" and "{names[flank_of_pair[other]]}" share the node '
+                f"at ({position[k, 0]:.6g}, {position[k, 1]:.6g}) m; leave a gap between them, or make "
+                "them one flank"
+            )
+
+
+def _relative_motion(plus: np.ndarray, minus: np.ndarray, axis: np.ndarray, size: int) -> scipy.sparse.csr_matrix:
+    """Rows ``(u_plus - u_minus) . axis``."""
+    pairs = np.repeat(np.arange(len(plus)), 4)
+    columns = np.stack([2 * plus, 2 * plus + 1, 2 * minus, 2 * minus + 1], axis=1).ravel()
+    values = np.concatenate([axis, -axis], axis=1).ravel()
+    return scipy.sparse.csr_matrix((values, (pairs, columns)), shape=(len(plus), size))

@@ -1,0 +1,217 @@
+"""Eigenpairs of sparse matrices by SLEPc, each with its residual checked; modes of the structure built on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from ewr_fenicsx.elasticity import Structure, body_nodes
+from ewr_fenicsx.errors import ModesError
+from ewr_fenicsx.interface import Interface
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenpairs of ``K phi = omega^2 M phi``, mass-normalised, by rising frequency.
+
+    Attributes:
+        frequency: ``(m,)`` [Hz]; negative where rounding gives a rigid-body mode a negative eigenvalue.
+        vectors: Distributed like the matrices.
+        residual: ``|K phi - omega^2 M phi| / (s |M phi|)`` with ``s`` the larger of ``omega^2`` and its distance from
+            the shift, ``(m,)``.
+    """
+
+    frequency: np.ndarray
+    vectors: list[PETSc.Vec]
+    residual: np.ndarray
+
+
+def solve_modes(
+    stiffness: PETSc.Mat, mass: PETSc.Mat, count: int, *, shift: float = 0.0, tolerance: float = 1e-9
+) -> Modes:
+    """The modes with eigenvalues nearest to a shift, by shift-invert Krylov-Schur.
+
+    Args:
+        stiffness: Symmetric, sparse [N/m].
+        mass: Symmetric positive definite, sparse [kg].
+        count: How many.
+        shift: Eigenvalue [rad^2/s^2] near which to look; a singular stiffness needs one below zero.
+        tolerance: Largest accepted relative residual, unless rounding in ``K phi`` alone is larger.
+
+    Raises:
+        ModesError: Fewer modes than asked for, a residual above the tolerance, or a singular stiffness with no shift.
+    """
+    size = stiffness.getSize()[0]
+    if not 0 < count <= size:
+        raise ModesError(f"{count} modes asked for; the matrices have {size} degrees of freedom, give 1 to {size}")
+    solver = SLEPc.EPS().create(stiffness.comm)
+    solver.setOperators(stiffness, mass)
+    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    solver.setTarget(shift)
+    solver.setTolerances(1e-2 * tolerance, 300)
+    solver.setDimensions(count, min(size, max(2 * count, count + 20)))
+    transform = solver.getST()
+    transform.setType(SLEPc.ST.Type.SINVERT)
+    use_mumps(transform.getKSP())
+    try:
+        solver.solve()
+    except PETSc.Error as error:
+        raise ModesError(
+            f"cannot factorise K - sigma M at sigma = {shift:g} rad^2/s^2: is the stiffness singular (a body "
+            "that floats) with a shift of zero?"
+        ) from error
+    found = solver.getConverged()
+    if found < count:
+        raise ModesError(
+            f"{found} of {count} modes converged near sigma = {shift:g} rad^2/s^2 in {size} degrees of "
+            "freedom; ask for fewer or loosen the tolerance"
+        )
+    values = np.array([solver.getEigenvalue(k).real for k in range(found)])
+    nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
+    nearest = nearest[np.argsort(values[nearest], kind="stable")]
+    pairs = []
+    for k in nearest:
+        vector = stiffness.createVecRight()
+        solver.getEigenvector(k, vector)
+        pairs.append(_normalise(stiffness, mass, vector, shift))
+    solver.destroy()
+    frequency, vectors, residual, rounding = zip(*pairs, strict=True)
+    modes = Modes(np.array(frequency), list(vectors), np.array(residual))
+    if max(rounding) > 0.01:
+        raise ModesError(
+            f"mode {np.argmax(rounding) + 1} cannot be told from the shift sigma = {shift:g} rad^2/s^2: a body "
+            "floats and the stiffness is singular; give a shift below zero, or clamp the body"
+        )
+    # in fine meshes the forces that cancel in K phi are so large that their rounding alone passes any fixed tolerance
+    excess = modes.residual / np.maximum(tolerance, rounding)
+    worst = int(np.argmax(excess))
+    if not excess[worst] <= 1:
+        raise ModesError(
+            f"mode {worst + 1} at {frequency[worst]:.6g} Hz has a relative residual of "
+            f"{residual[worst]:.2g}, allowed is {max(tolerance, rounding[worst]):.2g}; "
+            "ask for fewer modes or loosen the tolerance"
+        )
+    return modes
+
+
+def full_stick_modes(structure: Structure, interface: Interface, count: int) -> Modes:
+    """Modes of the whole joint with every pair bonded, the clamped boundary held; vectors on all degrees of freedom.
+
+    Where nothing is clamped the rigid-body modes come first.
+
+    Raises:
+        ModesError: As ``solve_modes``.
+    """
+    tie = tie_pairs(structure, interface)
+    stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
+    clamped = structure.mass.comm.tompi4py().allreduce(len(structure.fixed_dofs)) > 0
+    # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
+    shift = 0.0 if clamped else -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum()
+    modes = solve_modes(stiffness, mass, count, shift=shift)
+    vectors = []
+    for reduced in modes.vectors:
+        full = structure.mass.createVecLeft()
+        tie.mult(reduced, full)
+        vectors.append(full)
+    return Modes(modes.frequency, vectors, modes.residual)
+
+
+def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
+    """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and the clamped boundary does not move."""
+    comm = structure.mass.comm.tompi4py()
+    first, last = structure.mass.getOwnershipRange()
+    follower = (2 * interface.nodes_b[:, None] + np.arange(2)).ravel()
+    leader = (2 * interface.nodes_a[:, None] + np.arange(2)).ravel()
+    fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
+    # a pair with one clamped node is clamped
+    held = np.union1d(fixed, leader[np.isin(follower, fixed)])
+    kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
+    start = comm.exscan(len(kept)) or 0
+    columns = np.concatenate(comm.allgather(kept))
+    tie = PETSc.Mat().createAIJ(((last - first, None), (len(kept), None)), nnz=1, comm=structure.mass.comm)
+    for k, row in enumerate(kept):
+        tie.setValue(row, start + k, 1.0)
+    position = {int(dof): k for k, dof in enumerate(columns)} if comm.size > 1 else None
+    for row, to in zip(follower, leader, strict=True):
+        if first <= row < last and not np.isin(to, held):
+            tie.setValue(row, position[int(to)] if position is not None else np.searchsorted(kept, to), 1.0)
+    tie.assemble()
+    return tie
+
+
+def rigid_body_modes(structure: Structure, body: str) -> Modes:
+    """The rigid motions of a free body, mass-orthonormal: two translations and the rotation about its mass centre.
+
+    The frequencies are those of the Rayleigh quotients: zero up to rounding. Residuals are relative to the forces
+    ``|K| |phi|`` that cancel.
+
+    Raises:
+        MeshError: No such body.
+        ModesError: A node of the body is clamped.
+    """
+    if not is_floating(structure, body):
+        raise ModesError(f'body "{body}" is clamped; it has no rigid-body modes')
+    nodes = body_nodes(structure, body)
+    first = structure.mass.getOwnershipRange()[0]
+    position = structure.space.tabulate_dof_coordinates()[nodes - first // 2, :2]
+    vectors = []
+    for shape in (
+        lambda x: (0 * x[:, 0] + 1, 0 * x[:, 0]),
+        lambda x: (0 * x[:, 0], 0 * x[:, 0] + 1),
+        lambda x: (-x[:, 1], x[:, 0]),
+    ):
+        vector = structure.mass.createVecRight()
+        for component, values in enumerate(shape(position)):
+            vector.array[2 * nodes + component - first] = values
+        vectors.append(_orthonormalise(vector, vectors, structure.mass))
+    largest = structure.stiffness.norm(PETSc.NormType.INFINITY)
+    frequency, residual = [], []
+    for vector in vectors:
+        force = structure.stiffness * vector
+        value = force.dot(vector)
+        frequency.append(math.copysign(math.sqrt(abs(value)), value) / (2 * math.pi))
+        residual.append(force.norm(PETSc.NormType.INFINITY) / (largest * vector.norm(PETSc.NormType.INFINITY)))
+    return Modes(np.array(frequency), vectors, np.array(residual))
+
+
+def is_floating(structure: Structure, body: str) -> bool:
+    """Whether no node of a body is clamped."""
+    held = np.isin(body_nodes(structure, body), structure.fixed_dofs // 2)
+    return structure.mass.comm.tompi4py().allreduce(int(held.sum())) == 0
+
+
+def use_mumps(solver: PETSc.KSP) -> None:
+    """Makes a Krylov solver a direct one."""
+    solver.setType(PETSc.KSP.Type.PREONLY)
+    solver.getPC().setType(PETSc.PC.Type.LU)
+    solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+
+
+def _orthonormalise(vector: PETSc.Vec, others: list[PETSc.Vec], mass: PETSc.Mat) -> PETSc.Vec:
+    for _ in range(2):  # the second pass removes what rounding left
+        weighted = mass * vector
+        for other in others:
+            vector.axpy(-other.dot(weighted), other)
+    vector.scale(1 / math.sqrt(vector.dot(mass * vector)))
+    return vector
+
+
+def _normalise(
+    stiffness: PETSc.Mat, mass: PETSc.Mat, vector: PETSc.Vec, shift: float
+) -> tuple[float, PETSc.Vec, float, float]:
+    """Frequency [Hz] by the Rayleigh quotient, mass-normalised vector, relative residual, and its rounding."""
+    inertia = mass * vector
+    scale = 1 / math.sqrt(vector.dot(inertia))
+    vector.scale(scale)
+    inertia.scale(scale)
+    force = stiffness * vector
+    value = vector.dot(force)
+    force.axpy(-value, inertia)
+    size = max(abs(value), abs(value - shift)) * inertia.norm()
+    rounding = np.finfo(float).eps * stiffness.norm(PETSc.NormType.INFINITY) * vector.norm() / size
+    return math.copysign(math.sqrt(abs(value)), value) / (2 * math.pi), vector, force.norm() / size, rounding

@@ -1,0 +1,271 @@
+"""Result folders: fields for ParaView, the reduced model, a table of the pairs, and how all of it came about.
+
+Fields are XDMF time series over one period, one field a file, degree 1, which ParaView animates.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import platform
+import resource
+import subprocess
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+
+import dolfinx
+import numpy as np
+
+from ewr_fenicsx import _compat, plots
+from ewr_fenicsx.chain import Chain
+from ewr_fenicsx.contact_state import classify_contact, list_histories
+from ewr_fenicsx.gathering import vertex_interpolation
+from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
+from ewr_fenicsx.solution import PeriodicSolution
+
+STEPS = 32  # instants of the period in the field files
+SAMPLES = 1024  # samples of the period behind the table of pairs
+AWAY_FROM_CONTACT = -1.0  # contact_state of nodes that belong to no pair
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "petsc4py",
+    "slepc4py",
+    "mpi4py",
+    "dolfinx",
+    "basix",
+    "ufl",
+    "gmsh",
+    "h5py",
+    "pydantic",
+    "matplotlib",
+)
+
+RealArray = np.ndarray
+
+
+def write_results(
+    folder: Path, chain: Chain, solution: PeriodicSolution, *, overwrite: bool = False
+) -> tuple[Path, ...]:
+    """Writes everything that there is to say of a solution.
+
+    Args:
+        folder: Where to; it must not exist, unless ``overwrite``.
+        chain: The scene and what was built of it.
+        solution: Its periodic solution.
+        overwrite: Whether an earlier result folder may be replaced.
+
+    Returns:
+        The files written, in ``folder``. The same on every rank.
+
+    Raises:
+        OutputError: The folder is taken, or cannot be written.
+    """
+    comm = chain.mesh.domain.comm
+    with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
+        write_fields(draft, chain, solution)
+        plots.draw_mesh(draft / "mesh.png", chain)
+        plots.draw_mode(draft / "full_stick_mode.png", chain)
+        memory = comm.gather(measure_memory(), root=0)
+        if comm.rank == 0:
+            plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
+            plots.draw_contact_sets(draft / "contact_sets.png", chain.interface, solution)
+            chain.reduction.model.save(draft / "reduced_model.h5")
+            write_pairs(draft / "pairs.csv", chain.interface, solution)
+            files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
+            summary = summarise(chain, solution) | {"peak_memory_MB": memory, "files": files}
+            (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return tuple(
+        folder / name for name in on_rank_zero(comm, lambda: json.loads((folder / SUMMARY).read_text())["files"])
+    )
+
+
+def list_files(files: Sequence[Path]) -> str:
+    """Files and pictures of a run, for people; an HDF5 file that belongs to an XDMF file goes without saying."""
+    companions = {path.with_suffix(".h5") for path in files if path.suffix == ".xdmf"}
+    pictures = [path for path in files if path.suffix == ".png"]
+    others = [path for path in files if path.suffix != ".png" and path not in companions]
+    return "\n".join(["files:", *(f"  {path}" for path in others), "pictures:", *(f"  {path}" for path in pictures)])
+
+
+def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution, steps: int = STEPS) -> None:
+    """Writes XDMF time series over one period, one field a file, and the mesh tags; collective.
+
+    Args:
+        folder: Where to.
+        chain: Mesh, interface and reduction basis.
+        solution: On the reduced model of ``chain``.
+        steps: Equidistant instants ``k T / steps``; the end of the period, its beginning again, is left out.
+    """
+    domain, interface = chain.mesh.domain, chain.interface
+    times = np.arange(steps) / (steps * solution.problem.frequency)
+    phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
+    coordinates = (phase @ solution.coordinates).real
+    to_vertices = vertex_interpolation(chain.structure.space, (2,))
+    frames = (to_vertices(chain.reduction.expand(x)) for x in coordinates)
+    _write_series(folder / "displacement.xdmf", domain, times, frames)
+    for name, values in contact_fields(interface, solution, steps).items():
+        spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)
+        _write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
+    with _open_xdmf(folder / "mesh_tags.xdmf", domain) as file:
+        for name, tags in (("bodies", chain.mesh.cell_tags), ("boundaries", chain.mesh.facet_tags)):
+            tags.name = name
+            domain.topology.create_connectivity(tags.dim, domain.topology.dim)
+            _compat.write_meshtags(file, tags, domain)
+
+
+def contact_fields(interface: Interface, solution: PeriodicSolution, samples: int) -> dict[str, RealArray]:
+    """What happens at the pairs, as far as the laws know of it: name -> ``(samples, K_c)``.
+
+    Pressure and traction [Pa] are the truncated forces that balance the loads over the tributary area;
+    ``friction_traction`` acts on body A along the pair's tangent. Gap and slip in m.
+    ``contact_state``: 0 open, 1 stick, 2 slip.
+    """
+    fields = {}
+    for name, history, divisor in (
+        ("contact_pressure", "normal_force", interface.area),
+        ("friction_traction", "friction_force", interface.area),
+        ("gap", "gap", 1.0),
+        ("slip", "slip", 1.0),
+    ):
+        if history in list_histories(solution):
+            fields[name] = solution.history(history, samples) / divisor
+    return fields | {"contact_state": classify_contact(solution, samples).astype(float)}
+
+
+def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
+    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides."""
+    space, interface = chain.structure.space, chain.interface
+    component, parents = space.sub(0).collapse()
+    parents = np.asarray(parents) // space.dofmap.bs
+    index_map = space.dofmap.index_map
+    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    pair_of_node = {int(node): k for nodes in (interface.nodes_a, interface.nodes_b) for k, node in enumerate(nodes)}
+    pairs = np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])[parents]
+    field = dolfinx.fem.Function(component)
+    to_vertices = vertex_interpolation(component)
+
+    def spread(values: RealArray) -> dolfinx.fem.Function:
+        field.x.array[:] = np.where(pairs >= 0, values[pairs], elsewhere)
+        return to_vertices(field)
+
+    return spread
+
+
+def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
+    """Writes one row a pair: where it is, and its figures over the period."""
+    histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
+    state = classify_contact(solution, SAMPLES)
+    columns: dict[str, RealArray] = {
+        "x [m]": interface.position[:, 0],
+        "y [m]": interface.position[:, 1],
+        "normal_x": interface.normal[:, 0],
+        "normal_y": interface.normal[:, 1],
+        "area [m^2]": interface.area,
+    }
+    for name, unit in (("normal_force", "N"), ("friction_force", "N"), ("gap", "m"), ("slip", "m")):
+        if name in histories:
+            for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
+                columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
+    if "slip_velocity" in histories:
+        columns["sliding_distance [m/cycle]"] = (
+            np.abs(histories["slip_velocity"]).mean(axis=0) / solution.problem.frequency
+        )
+    for code, name in enumerate(("open", "stick", "slip")):
+        columns[f"{name}_share"] = (state == code).mean(axis=0)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["pair", "flank", *columns])
+        for k, flank in enumerate(interface.flank_of_pair):
+            writer.writerow([k, interface.flanks[flank], *(repr(float(column[k])) for column in columns.values())])
+
+
+def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
+    """All figures of a run and where they come from, ready for JSON."""
+    reduction, model = chain.reduction, chain.reduction.model
+    index_map = chain.structure.space.dofmap.index_map
+    return {
+        "scene": chain.scene.model_dump(mode="json"),
+        "solution": {
+            "converged": solution.converged,
+            "reason": str(solution.reason),
+            "iterations": solution.iterations,
+            "fallbacks": [str(rung) for rung in solution.fallbacks],
+            "residual": solution.residual,
+            "unknowns": solution.unknowns,
+            "frequency_Hz": solution.problem.frequency,
+            "harmonics": list(solution.orders),
+            "outputs": {name: _list_amplitudes(solution, name) for name in model.outputs},
+            "merit": {name: float(value) for name, value in solution.merit.items()},
+        },
+        "model": {
+            "nodes": index_map.size_global,
+            "cells": chain.mesh.domain.topology.index_map(2).size_global,
+            "smallest_scaled_jacobian": chain.mesh.smallest_scaled_jacobian,
+            "pairs": model.pairs,
+            "coordinates": model.size,
+            "full_stick_frequencies_Hz": np.asarray(reduction.full_stick.frequency).tolist(),
+            "fixed_interface_frequencies_Hz": np.asarray(reduction.fixed_interface_frequencies).tolist(),
+        },
+        "seconds": dict(chain.seconds) | {"solve": solution.seconds},
+        "ranks": chain.mesh.domain.comm.size,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "system": platform.platform(),
+        "git_revision": find_git_revision(),
+        "versions": find_versions(),
+    }
+
+
+def find_versions() -> dict[str, str]:
+    """Versions of everything that has a say in the numbers."""
+    modules = {name: import_module(name) for name in ("ewr_fenicsx", *PACKAGES)}
+    return {"python": platform.python_version()} | {
+        name: str(getattr(m, "__version__", "?")) for name, m in modules.items()
+    }
+
+
+def find_git_revision() -> str | None:
+    """Revision of the checkout that this package runs from; None where it is installed without one."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def measure_memory() -> float:
+    """Largest resident memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@contextmanager
+def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDMFFile]:
+    """An XDMF file that holds the mesh; collective."""
+    with dolfinx.io.XDMFFile(domain.comm, str(path), "w") as file:
+        file.write_mesh(domain)
+        yield file
+    if domain.comm.rank == 0:
+        # dolfinx 0.9 writes https into the name of XInclude; by that name ParaView's Xdmf2 reader crashes
+        text = path.read_text(encoding="utf-8")
+        path.write_text(text.replace("https://www.w3.org/", "http://www.w3.org/"), encoding="utf-8")
+
+
+def _write_series(
+    path: Path, domain: dolfinx.mesh.Mesh, times: RealArray, fields: Iterable[dolfinx.fem.Function]
+) -> None:
+    """Writes fields of degree 1 on ``domain``, named like their file; collective."""
+    with _open_xdmf(path, domain) as file:
+        for time, field in zip(times, fields, strict=True):
+            field.name = path.stem
+            file.write_function(field, time)
+
+
+def _list_amplitudes(solution: PeriodicSolution, name: str) -> list[dict[str, float]]:
+    return [
+        {"harmonic": h, "real": float(a.real), "imag": float(a.imag)}
+        for h, a in zip(solution.orders, solution.output(name), strict=True)
+    ]

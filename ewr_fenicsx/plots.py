@@ -1,0 +1,269 @@
+"""Pictures of a run: the mesh with its joint, the first full-stick mode, pair histories, and the contact sets.
+
+Plain matplotlib on ``Figure`` objects: no display, no global state. What needs the mesh gathers it on rank 0, which
+draws; the other ranks only take part in the gathering.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import dolfinx
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+
+from ewr_fenicsx.chain import Chain
+from ewr_fenicsx.contact_state import list_histories, sample_friction_limit
+from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
+from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.solution import PeriodicSolution
+
+RealArray = np.ndarray
+SAMPLES = 1024
+DPI = 150
+LEAST = {
+    "normal_force": 1e-6,
+    "friction_force": 1e-6,
+    "gap": 1e-3,
+    "slip": 1e-3,
+    "slip_velocity": 1e-3,
+}  # N, N, µm, µm, mm/s
+BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
+FLANK_COLOURS = ("#c1121f", "#1d6fb8", "#e08e0b", "#2a9d57", "#7b3fa0", "#666666")
+INK = "#222222"
+
+
+def draw_mesh(path: Path, chain: Chain) -> None:
+    """Mesh, clamp, loads and, enlarged, the joint's pairs; collective."""
+    cells = gather_cells(chain)
+    scene = chain.scene
+    edges = sorted({*scene.supports.clamp, *(load.boundary for load in scene.loads.values() if load.kind == "force")})
+    edge = {name: gather_boundary(chain, name) for name in edges}
+    if cells is None:
+        return
+    interface = chain.interface
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    whole, joint = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1, 1.9]})
+    for axes in (whole, joint):
+        _fill_bodies(axes, cells, linewidth=0.25 if axes is whole else 0.5)
+        axes.add_collection(LineCollection(1e3 * cells.outline(), colors=INK, linewidths=0.9))
+        axes.set_aspect("equal")
+        axes.set_xlabel("x [mm]")
+        axes.set_ylabel("y [mm]")
+    whole.autoscale_view()
+    for name in scene.supports.clamp:
+        whole.plot(*(1e3 * edge[name].T), "^", color=INK, markersize=3, label=f"held: {name}")
+    _draw_loads(whole, scene, edge, cells.scale)
+    for k, flank in enumerate(interface.flanks):
+        mine = interface.flank_of_pair == k
+        colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
+        for axes, size in ((whole, 2), (joint, 6)):
+            label = f"{flank}, {mine.sum()} pairs" if axes is joint else None
+            axes.plot(*(1e3 * interface.position[mine].T), "o", color=colour, markersize=size, label=label, zorder=4)
+    low, high = 1e3 * interface.position.min(axis=0), 1e3 * interface.position.max(axis=0)
+    centre, half = (low + high) / 2, 0.62 * (high - low).max()
+    joint.set_xlim(centre[0] - half, centre[0] + half)
+    joint.set_ylim(centre[1] - 1.15 * half, centre[1] + 1.15 * half)
+    length = 0.18 * half
+    joint.quiver(
+        *(1e3 * interface.position.T),
+        *(length * interface.normal.T),
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.0025,
+        color=INK,
+        zorder=5,
+    )
+    joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}")
+    whole.indicate_inset_zoom(joint, edgecolor=INK, alpha=0.6)
+    joint.set_title(f"joint: {len(interface.area)} pairs")
+    whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {len(cells.body)} cells")
+    for axes in (whole, joint):
+        axes.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.09), fontsize=8, frameon=False, ncols=1 if axes is whole else 2
+        )
+    figure.suptitle(scene.title or scene.geometry.source.stem)
+    figure.savefig(path, dpi=DPI)
+
+
+def draw_mode(path: Path, chain: Chain, number: int = 0) -> None:
+    """Shape of a full-stick mode, over the undeformed outline; collective."""
+    modes = chain.reduction.full_stick
+    shape = dolfinx.fem.Function(chain.structure.space)
+    owned = modes.vectors[number].array
+    shape.x.array[: owned.size] = owned
+    shape.x.scatter_forward()
+    cells = gather_cells(chain, shape)
+    if cells is None:
+        return
+    size = np.linalg.norm(cells.values, axis=2)
+    stretch = 0.08 * cells.scale / size.max()
+    width, height = np.ptp(cells.corners.reshape(-1, 2), axis=0)
+    figure = Figure(figsize=(2.3 + 6.6 * min(1.5, width / height), 7.5), layout="constrained")
+    axes = figure.subplots()
+    axes.add_collection(LineCollection(1e3 * cells.outline(), colors="#999999", linewidths=0.8, linestyles="--"))
+    moved = 1e3 * (cells.corners + stretch * cells.values).reshape(-1, 2)
+    n = cells.corners.shape[1]
+    first = n * np.arange(len(cells.body))[:, None]
+    triangles = np.concatenate([first + np.array([0, k, k + 1]) for k in range(1, n - 1)])
+    colours = axes.tripcolor(
+        Triangulation(*moved.T, triangles), size.ravel() / size.max(), shading="gouraud", cmap="YlGnBu"
+    )
+    axes.add_collection(LineCollection(1e3 * cells.outline(stretch), colors=INK, linewidths=0.9))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
+    figure.suptitle(f"full-stick mode {number + 1}: {modes.frequency[number]:.1f} Hz")
+    figure.colorbar(colours, ax=axes, label="displacement / its largest value", shrink=0.7)
+    figure.savefig(path, dpi=DPI)
+
+
+def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
+    """Forces and motions of every pair over the period, a column for each flank."""
+    rows = [
+        (name, label, factor)
+        for name, label, factor in (
+            ("normal_force", "normal force [N]", 1.0),
+            ("friction_force", "friction force [N]", 1.0),
+            ("gap", "gap [µm]", 1e6),
+            ("slip", "slip [µm]", 1e6),
+        )
+        if name in list_histories(solution)
+    ]
+    if not rows:
+        return
+    columns = len(interface.flanks)
+    figure = Figure(figsize=(2.2 + 2.7 * columns, 0.9 + 2.0 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), columns, sharex=True, sharey="row", squeeze=False)
+    phase = np.arange(SAMPLES) / SAMPLES
+    for line, (name, label, factor) in zip(grid, rows, strict=True):
+        history = factor * solution.history(name, SAMPLES)
+        for k, axes in enumerate(line):
+            mine = np.flatnonzero(interface.flank_of_pair == k)
+            for place, pair in zip(_along(mine), mine, strict=True):
+                axes.plot(phase, history[:, pair], color=_COLOURS.to_rgba(place), linewidth=1.0)
+            axes.axhline(0.0, color=INK, linewidth=0.5)
+        line[0].set_ylabel(label)
+        if np.abs(history).max() < LEAST[name]:  # rounding, not motion
+            line[0].set_ylim(-LEAST[name], LEAST[name])
+    for axes, flank in zip(grid[0], interface.flanks, strict=True):
+        axes.set_title(flank.replace("_", " "))
+    for axes in grid[-1]:
+        axes.set(xlabel="time / period", xlim=(0, 1))
+    _place_key(figure, grid)
+    figure.suptitle(_caption(solution))
+    figure.savefig(path, dpi=DPI)
+
+
+def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
+    """Where pairs stand with respect to the exact sets of Signorini (above) and Coulomb (below), flank by flank.
+
+    Friction is in units of its momentary limit ``mu lam_N``, drawn where the limit exceeds a twentieth of its largest
+    value (at lift-off the quotient means nothing), and as far as twice the limit.
+    """
+    known = list_histories(solution)
+    rows = {}  # title of the two axes -> what to draw, its exact set, least extent across
+    normal = solution.history("normal_force", SAMPLES)
+    if "gap" in known:
+        gap = 1e6 * solution.history("gap", SAMPLES)
+        corner = [(0, 1.1 * normal.max()), (0, 0), (1.1 * max(gap.max(), LEAST["gap"]), 0)]
+        rows["gap [µm]", "normal force [N]"] = gap, normal, np.full(normal.shape, True), corner
+    if "admissible_friction_force" in known:
+        limit = sample_friction_limit(solution, SAMPLES)
+        shown = limit > 0.05 * limit.max()
+        share = solution.history("friction_force", SAMPLES) / np.where(shown, limit, 1.0)
+        velocity = 1e3 * solution.history("slip_velocity", SAMPLES)
+        far = 1.1 * max(np.abs(velocity).max(), LEAST["slip_velocity"])
+        rows["slip velocity [mm/s]", "friction force / (µ normal force)"] = (
+            velocity,
+            share,
+            shown,
+            [(-far, 1), (0, 1), (0, -1), (far, -1)],
+        )
+    if not rows:
+        return
+    columns = len(interface.flanks)
+    figure = Figure(figsize=(2.2 + 2.9 * columns, 0.9 + 3.0 * len(rows)), layout="constrained")
+    grid = figure.subplots(len(rows), columns, sharey="row", sharex="row", squeeze=False)
+    for line, ((across, along), (x, y, shown, exact)) in zip(grid, rows.items(), strict=True):
+        line[0].set_ylabel(along)
+        for k, axes in enumerate(line):
+            axes.plot(
+                *np.transpose(exact), color=FLANK_COLOURS[0], linewidth=4.0, alpha=0.3, label="exact set", zorder=0.5
+            )
+            mine = np.flatnonzero(interface.flank_of_pair == k)
+            for place, pair in zip(_along(mine), mine, strict=True):
+                here = shown[:, pair]
+                axes.plot(
+                    x[here, pair], y[here, pair], ".", color=_COLOURS.to_rgba(place), markersize=2.5, rasterized=True
+                )
+            axes.set_xlabel(across)
+        if "friction" in along:
+            line[0].set_ylim(-2, 2)
+    for axes, flank in zip(grid[0], interface.flanks, strict=True):
+        axes.set_title(flank.replace("_", " "))
+    grid[0, 0].legend(loc="upper right", fontsize=8)
+    figure.suptitle(_caption(solution))
+    _place_key(figure, grid)
+    figure.savefig(path, dpi=DPI)
+
+
+_COLOURS = ScalarMappable(Normalize(0.0, 1.0), "viridis")
+
+
+def _along(pairs: np.ndarray) -> RealArray:
+    """Places of a flank's pairs from one end (0) to the other (1)."""
+    return np.linspace(0.0, 1.0, len(pairs)) if len(pairs) > 1 else np.array([0.5])
+
+
+def _caption(solution: PeriodicSolution) -> str:
+    orders = solution.orders
+    gapless = orders == tuple(range(orders[0], orders[-1] + 1))
+    kept = f"{orders[0]} to {orders[-1]}" if gapless else ", ".join(map(str, orders))
+    return f"{solution.problem.frequency:g} Hz, harmonics {kept}"
+
+
+def _place_key(figure: Figure, grid: np.ndarray) -> None:
+    bar = figure.colorbar(_COLOURS, ax=grid, label="place along the flank's tangent", shrink=0.5, aspect=30, pad=0.01)
+    bar.set_ticks([0, 1], labels=["first pair", "last pair"])
+
+
+def _fill_bodies(axes, cells: Cells, linewidth: float) -> None:
+    for k, body in enumerate(np.unique(cells.body)):
+        polygons = 1e3 * cells.corners[cells.body == body]
+        colour = BODY_COLOURS[k % len(BODY_COLOURS)]
+        axes.add_collection(PolyCollection(polygons, facecolors=colour, edgecolors="#8a97a5", linewidths=linewidth))
+
+
+def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
+    length = 0.12 * 1e3 * scale
+    for name, load in scene.loads.items():
+        if load.kind != "force":
+            axes.plot([], [], " ", label=f"{name}: {load.speed:g} rpm")
+            continue
+        start = 1e3 * edge[load.boundary].mean(axis=0)
+        size = float(np.hypot(*load.force))
+        step = length * np.array(load.force) / size
+        pulsating = load.harmonic > 0
+        colour = FLANK_COLOURS[0] if pulsating else FLANK_COLOURS[1]
+        axes.annotate(
+            "",
+            start + step,
+            start - step if pulsating else start,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "<|-|>" if pulsating else "-|>",
+                "color": colour,
+                "linewidth": 1.8,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            },
+        )
+        axes.plot(*(start + 1.1 * step), alpha=0)  # makes room for the arrow
+        time = f" at {load.harmonic * scene.excitation.frequency:g} Hz" if pulsating else ", static"
+        axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:g} N{time}")

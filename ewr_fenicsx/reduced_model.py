@@ -1,0 +1,277 @@
+"""The reduced model: all that the contact solver needs to know of a structure.
+
+From here on nothing knows of meshes. Whoever has matrices from elsewhere starts with ``ReducedModel(...)``.
+
+Conventions, for the whole package
+    SI units; ``omega`` [rad/s] inside, frequencies in Hz where a user types them.
+    ``x(tau) = Re sum_h X_h exp(i h tau)``, ``tau = omega t``; one-sided complex amplitudes, ``X_0`` real.
+    Pair k joins a node of body A to one of body B; ``n`` is A's outward normal, ``t`` its tangent:
+    ``q_N = (u_b - u_a).n`` (opening is positive), ``q_T = (u_a - u_b).t``.
+    Pair forces: ``lam_N >= 0`` presses, ``lam_T`` is the friction force on A along ``t``.
+    With ``q = B x``:  ``M x'' + D x' + K x = B^T lam + f(t)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+
+from ewr_fenicsx.errors import ModelError
+
+RealArray = np.ndarray
+ComplexArray = np.ndarray
+
+_FORMAT = "ewr_fenicsx reduced model, 1"
+_SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ReducedModel:
+    """Matrices, contact rows and loads of a structure in ``n`` coordinates.
+
+    Args:
+        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric.
+        normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
+        tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; None for none.
+        load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
+        pair_area: ``(K_c,)`` tributary area of each pair [m^2]; ones by default.
+        rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
+        outputs: Name -> ``(n,)`` row of a quantity to follow.
+
+    Raises:
+        ModelError: Shapes disagree, a matrix is not finite or not symmetric, or ``rigid_modes`` do not span the null space.
+    """
+
+    mass: RealArray
+    damping: RealArray
+    stiffness: RealArray
+    normal: RealArray | None = None
+    tangential: RealArray | None = None
+    load: Mapping[int, ComplexArray] = field(default_factory=dict)
+    pair_area: RealArray | None = None
+    rigid_modes: RealArray | None = None
+    outputs: Mapping[str, RealArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        freeze("stiffness", _matrix("stiffness", self.stiffness))
+        n = self.stiffness.shape[0]
+        if self.stiffness.shape[1] != n:
+            raise ModelError(f"stiffness has shape {self.stiffness.shape}; it must be square")
+        freeze("mass", _matrix("mass", self.mass, (n, n)))
+        freeze("damping", _matrix("damping", self.damping, (n, n)))
+        for name in ("mass", "stiffness"):
+            _check_symmetry(name, getattr(self, name))
+        if self.normal is None and self.tangential is None:
+            raise ModelError("a reduced model needs contact rows: give normal, tangential or both")
+        pairs = None
+        if self.normal is not None:
+            freeze("normal", _matrix("normal", self.normal, (None, n)))
+            pairs = self.normal.shape[0]
+        if self.tangential is not None:
+            freeze("tangential", _matrix("tangential", self.tangential, (None, n)))
+            rows = self.tangential.shape[0]
+            if pairs is None:
+                pairs = rows
+            elif rows not in (pairs, 2 * pairs):
+                raise ModelError(
+                    f"tangential has {rows} rows for {pairs} pairs; give {pairs} (2-D) or {2 * pairs} (3-D, pair-major)"
+                )
+        freeze("pair_area", np.ones(pairs) if self.pair_area is None else _vector("pair_area", self.pair_area, pairs))
+        if not np.all(self.pair_area > 0):
+            k = int(np.argmin(self.pair_area))
+            raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
+        freeze("load", {_harmonic(h): _load(h, f, n) for h, f in self.load.items()})
+        freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in self.outputs.items()})
+        if self.rigid_modes is None:
+            freeze("rigid_modes", find_rigid_modes(self.stiffness))
+        else:
+            freeze("rigid_modes", _matrix("rigid_modes", np.asarray(self.rigid_modes, float).reshape(n, -1), (n, None)))
+            _check_rigid_modes(self.stiffness, self.rigid_modes)
+
+    def __repr__(self) -> str:
+        return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates ``n``."""
+        return self.stiffness.shape[0]
+
+    @property
+    def pairs(self) -> int:
+        """Number of contact pairs ``K_c``."""
+        return self.pair_area.shape[0]
+
+    @property
+    def tangents(self) -> int:
+        """Tangential directions a pair: 0, 1 (2-D) or 2 (3-D)."""
+        return 0 if self.tangential is None else self.tangential.shape[0] // self.pairs
+
+    @property
+    def tangent_directions(self) -> tuple[str, ...]:
+        """Names of the tangential directions."""
+        return ("tangential", "second_tangential")[: self.tangents]
+
+    def rows(self, direction: str) -> RealArray:
+        """Contact rows of a direction, ``(K_c, n)``.
+
+        Args:
+            direction: ``"normal"``, ``"tangential"`` or, in 3-D, ``"second_tangential"``.
+
+        Raises:
+            ModelError: The model has no rows of that direction.
+        """
+        if direction == "normal" and self.normal is not None:
+            return self.normal
+        if direction == "tangential" and self.tangents:
+            return self.tangential[:: self.tangents]
+        if direction == "second_tangential" and self.tangents == 2:
+            return self.tangential[1::2]
+        raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
+
+    def save(self, path: str | Path) -> None:
+        """Write the model to an HDF5 file, replacing it."""
+        with h5py.File(path, "w") as file:
+            file.attrs["format"] = _FORMAT
+            for name in ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes"):
+                if (value := getattr(self, name)) is not None:
+                    file[name] = value
+            for group, entries in (("load", self.load), ("outputs", self.outputs)):
+                folder = file.create_group(group)
+                for name, value in entries.items():
+                    folder[str(name)] = value
+
+
+def read_reduced_model(path: str | Path) -> ReducedModel:
+    """Read a model that ``ReducedModel.save`` wrote; the same as ``ReducedModel.load(path)``.
+
+    Raises:
+        ModelError: The file was not written by ``ReducedModel.save``.
+    """
+    with h5py.File(path, "r") as file:
+        if file.attrs.get("format") != _FORMAT:
+            raise ModelError(f'{path}: format "{file.attrs.get("format")}", expected "{_FORMAT}"; write it with save()')
+        arrays = {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        return ReducedModel(
+            **arrays,
+            load={int(h): f[()] for h, f in file["load"].items()},
+            outputs={name: c[()] for name, c in file["outputs"].items()},
+        )
+
+
+# The public interface calls both the field and the reader "load": an instance finds its field first, the class this.
+ReducedModel.load = staticmethod(read_reduced_model)
+
+
+def find_rigid_modes(stiffness: RealArray) -> RealArray:
+    """Basis ``(n, r)`` of the null space of a positive semidefinite stiffness, orthonormal after diagonal scaling.
+
+    Raises:
+        ModelError: The stiffness has a negative eigenvalue beyond rounding.
+    """
+    n = stiffness.shape[0]
+    diagonal = np.abs(np.diag(stiffness))
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
+    rounding = 100 * n * np.finfo(float).eps * max(values[-1], 1e-300)
+    if values[0] < -1e3 * rounding:
+        raise ModelError(f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly")
+    return scale[:, None] * vectors[:, values < rounding]
+
+
+def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
+    """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
+
+    Redundant rows do no harm. Rigid modes are those that are left.
+
+    Args:
+        model: The model.
+        rows: ``(m, n)`` rows held.
+
+    Returns:
+        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
+    """
+    if rows.shape[0] == 0:
+        return model, np.eye(model.size)
+    basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
+    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
+    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
+    held = replace(
+        model,
+        mass=symmetric(basis.T @ model.mass @ basis),
+        damping=basis.T @ model.damping @ basis,
+        stiffness=symmetric(basis.T @ model.stiffness @ basis),
+        normal=project(model.normal),
+        tangential=project(model.tangential),
+        load={h: basis.T @ f for h, f in model.load.items()},
+        outputs={name: basis.T @ c for name, c in model.outputs.items()},
+        rigid_modes=basis.T @ _rigid_modes_that_obey(model, rows),
+    )
+    return held, basis
+
+
+def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
+    if model.rigid_modes.shape[1] == 0:
+        return model.rigid_modes
+    motion = rows @ model.rigid_modes
+    return model.rigid_modes @ scipy.linalg.null_space(motion / np.abs(motion).max(initial=1e-300), rcond=1e-8)
+
+
+def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None)) -> RealArray:
+    dense = value.toarray() if scipy.sparse.issparse(value) else value
+    matrix = np.array(dense, dtype=float, ndmin=2)
+    expected = tuple("any" if s is None else s for s in shape)
+    if matrix.ndim != 2 or any(s is not None and s != got for s, got in zip(shape, matrix.shape)):
+        raise ModelError(f"{name} has shape {matrix.shape}; expected ({expected[0]}, {expected[1]})")
+    if not np.isfinite(matrix).all():
+        raise ModelError(f"{name} has entries that are not finite")
+    matrix.flags.writeable = False
+    return matrix
+
+
+def _vector(name: str, value, size: int, dtype=float) -> np.ndarray:
+    vector = np.array(value, dtype=dtype).reshape(-1)
+    if vector.shape != (size,):
+        raise ModelError(f"{name} has {vector.size} entries; expected {size}")
+    if not np.isfinite(vector).all():
+        raise ModelError(f"{name} has entries that are not finite")
+    vector.flags.writeable = False
+    return vector
+
+
+def _harmonic(h) -> int:
+    if int(h) != h or h < 0:
+        raise ModelError(f"load has a harmonic {h!r}; harmonics are whole numbers from 0")
+    return int(h)
+
+
+def _load(h, amplitude, size: int) -> ComplexArray:
+    vector = _vector(f"load[{h}]", amplitude, size, complex)
+    if h == 0 and np.any(vector.imag != 0):
+        raise ModelError("load[0] is the mean load and must be real")
+    return vector
+
+
+def _check_symmetry(name: str, matrix: RealArray) -> None:
+    asymmetry = np.abs(matrix - matrix.T).max()
+    if asymmetry > _SYMMETRY * np.abs(matrix).max():
+        raise ModelError(f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly")
+
+
+def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
+    if modes.shape[1] == 0:
+        return
+    force = np.abs(stiffness @ modes).max(axis=0)
+    scale = (np.abs(stiffness) @ np.abs(modes)).max(axis=0)
+    worst = int(np.argmax(force / scale))
+    if force[worst] > 1e-6 * scale[worst]:
+        raise ModelError(
+            f"rigid_modes[:, {worst}] meets elastic forces of {force[worst] / scale[worst]:.2g} of the stiffness; "
+            "give null vectors of the stiffness, or None to have them found"
+        )

@@ -1,0 +1,241 @@
+"""Component mode synthesis: sparse matrices of the structure become a small ``ReducedModel``.
+
+Craig-Bampton with every contact degree of freedom on the boundary. The basis holds, column by column: the constraint
+modes of the contact degrees of freedom (whose coordinates are the physical displacements), the lowest fixed-interface
+modes, and the static response to each load with the interface held, which makes the static state exact.
+
+Source: Craig & Bampton (1968), doi:10.2514/3.4741.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import dolfinx
+import numpy as np
+import scipy.linalg
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ewr_fenicsx.elasticity import Structure, body_nodes
+from ewr_fenicsx.errors import InterfaceError, ModesError
+from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.modes import Modes, full_stick_modes, is_floating, solve_modes, use_mumps
+from ewr_fenicsx.reduced_model import ReducedModel
+
+_NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
+_FULL_STICK_MODES = 6  # kept for pictures and reports
+
+
+@dataclass(frozen=True)
+class CraigBampton:
+    """The reduced model and the way back to the mesh.
+
+    Attributes:
+        model: For the contact solver; the same on every rank.
+        basis: This rank's rows of the basis, ``(owned dofs, n)``; clamped rows are zero.
+        interface: The pairs.
+        fixed_interface_frequencies: ``(m,)`` [Hz].
+        full_stick: Lowest modes of the bonded joint, from the sparse matrices.
+        contact_dofs: Global numbers of the degrees of freedom that the first coordinates are, ``(n_c,)``.
+        structure: What was reduced.
+    """
+
+    model: ReducedModel
+    basis: np.ndarray
+    interface: Interface
+    fixed_interface_frequencies: np.ndarray
+    full_stick: Modes
+    contact_dofs: np.ndarray
+    structure: Structure
+
+    def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
+        """The displacement field [m] of real reduced coordinates ``(n,)``."""
+        field = dolfinx.fem.Function(self.structure.space)
+        field.x.array[: self.basis.shape[0]] = self.basis @ x
+        field.x.scatter_forward()
+        return field
+
+
+def reduce_structure(structure: Structure, interface: Interface, *, modes: int = 30) -> CraigBampton:
+    """Reduces a structure to its contact degrees of freedom, a few modes and the static responses to its loads.
+
+    Args:
+        structure: Sparse matrices.
+        interface: Pairs of contact nodes.
+        modes: Number of fixed-interface modes. With the default the joint compliance of the default fir tree is within
+            1e-4 of the full model's up to five times its first full-stick frequency.
+
+    Raises:
+        InterfaceError: A pair with both nodes clamped.
+        ModesError: Modes that did not converge; a rigid motion of a body that is not free of elastic forces.
+    """
+    comm = structure.mass.comm.tompi4py()
+    first, last = structure.mass.getOwnershipRange()
+    fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
+    contact = _contact_dofs(interface, fixed)
+    owned_contact = np.sort(contact[(contact >= first) & (contact < last)])
+    owned_interior = np.setdiff1d(np.arange(first, last), np.concatenate([owned_contact, structure.fixed_dofs]))
+    interior, boundary = (
+        PETSc.IS().createGeneral(dofs.astype(np.int32), comm=structure.mass.comm)
+        for dofs in (owned_interior, owned_contact)
+    )
+    stiffness, mass = (matrix.createSubMatrix(interior, interior) for matrix in (structure.stiffness, structure.mass))
+
+    dense = structure.stiffness.createSubMatrix(interior, boundary).convert("dense")
+    coupling = dense.getDenseArray()  # a view: valid while the matrix lives
+    column = {int(dof): k for k, dof in enumerate(np.concatenate(comm.allgather(owned_contact)))}
+    coupling = coupling[:, [column[int(dof)] for dof in contact]]
+    forces = [load.vector.array[owned_interior - first] for load in structure.loads]
+    responses = _solve_statics(stiffness, np.column_stack([-coupling, *forces]))
+    fixed_interface = solve_modes(stiffness, mass, modes)
+    shapes = np.column_stack([vector.array for vector in fixed_interface.vectors])
+    residual = _residual_vectors(responses[:, len(contact) :], shapes, mass)
+
+    count = len(contact) + shapes.shape[1] + residual.shape[1]
+    basis = np.zeros((last - first, count))
+    basis[owned_interior - first] = np.column_stack([responses[:, : len(contact)], shapes, residual])
+    for k, dof in enumerate(contact):
+        if first <= dof < last:
+            basis[dof - first, k] = 1.0
+    _fix_signs(basis, len(contact), structure.mass)
+    model = _project(structure, interface, basis, contact)
+    full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
+    return CraigBampton(model, basis, interface, fixed_interface.frequency, full_stick, contact, structure)
+
+
+def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:
+    """Free degrees of freedom of the pairs, pair by pair: x and y of A's node, x and y of B's."""
+    dofs = np.stack(
+        [2 * interface.nodes_a, 2 * interface.nodes_a + 1, 2 * interface.nodes_b, 2 * interface.nodes_b + 1], axis=1
+    )
+    held = np.isin(dofs, fixed)
+    if held.all(axis=1).any():
+        k = int(np.argmax(held.all(axis=1)))
+        x, y = interface.position[k]
+        raise InterfaceError(
+            f'flank "{interface.flanks[interface.flank_of_pair[k]]}": both nodes at ({x:.6g}, {y:.6g}) m '
+            "are clamped; take the flank out of the clamped boundary"
+        )
+    return dofs[~held]
+
+
+def _solve_statics(stiffness: PETSc.Mat, forces: np.ndarray) -> np.ndarray:
+    """``stiffness^-1 forces``, this rank's rows, with one factorisation."""
+    solver = PETSc.KSP().create(stiffness.comm)
+    solver.setOperators(stiffness)
+    use_mumps(solver)
+    solver.setUp()
+    force, response = stiffness.createVecLeft(), stiffness.createVecRight()
+    responses = np.empty_like(forces)
+    for k in range(forces.shape[1]):
+        force.array[:] = forces[:, k]
+        solver.solve(force, response)
+        responses[:, k] = response.array
+    return responses
+
+
+def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat) -> np.ndarray:
+    """The part of the load responses that the modes do not hold, mass-orthonormal; negligible ones are left out."""
+    comm = mass.comm.tompi4py()
+    basis = shapes
+    for response in responses.T:
+        rest = response.copy()
+        size = math.sqrt(_inner(rest, _multiply(mass, rest[:, None])[:, 0], comm))
+        for _ in range(2):  # the second pass removes what rounding left
+            rest -= basis @ comm.allreduce(basis.T @ _multiply(mass, rest[:, None])[:, 0])
+        norm = math.sqrt(max(0.0, _inner(rest, _multiply(mass, rest[:, None])[:, 0], comm)))
+        if norm > _NEGLIGIBLE * size:
+            basis = np.column_stack([basis, rest / norm])
+    return basis[:, shapes.shape[1] :]
+
+
+def _fix_signs(basis: np.ndarray, contacts: int, mass: PETSc.Mat) -> None:
+    """Turns each mode so that its inertial coupling with the contact nodes has one sign, whatever the numbering."""
+    comm = mass.comm.tompi4py()
+    # weights that no symmetry of a geometry makes cancel
+    pattern = basis[:, :contacts] @ np.cos(np.arange(1, contacts + 1))
+    coupling = comm.allreduce(basis[:, contacts:].T @ _multiply(mass, pattern[:, None])[:, 0])
+    basis[:, contacts:] *= np.where(coupling < 0, -1.0, 1.0)
+
+
+def _project(structure: Structure, interface: Interface, basis: np.ndarray, contact: np.ndarray) -> ReducedModel:
+    comm = structure.mass.comm.tompi4py()
+    count, contacts = basis.shape[1], len(contact)
+
+    def project(matrix: PETSc.Mat) -> np.ndarray:
+        reduced = _sum(basis.T @ _multiply(matrix, basis), comm)
+        return 0.5 * (reduced + reduced.T)
+
+    def rows(operator) -> np.ndarray:
+        return np.hstack([operator[:, contact].toarray(), np.zeros((operator.shape[0], count - contacts))])
+
+    mass, stiffness, damping = (project(m) for m in (structure.mass, structure.stiffness, structure.damping))
+    normal, tangential = rows(interface.normal_gap), rows(interface.tangential_slip)
+    if structure.modal_damping is not None:
+        damping = _damp_modes(mass, stiffness, np.vstack([normal, tangential]), structure.modal_damping)
+    load: dict[int, np.ndarray] = {}
+    for entry in structure.loads:
+        amplitude = entry.amplitude * _sum(basis.T @ entry.vector.array, comm)
+        load[entry.harmonic] = load.get(entry.harmonic, 0) + amplitude
+    outputs = {name: _sum(basis.T @ row.array, comm) for name, row in structure.outputs.items()}
+    rigid = _rigid_motions(structure, interface, contact, count, stiffness)
+    return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
+
+
+def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, ratio: float) -> np.ndarray:
+    """``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the joint in full stick."""
+    stuck = scipy.linalg.null_space(held)
+    values, vectors = scipy.linalg.eigh(stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck)
+    weighted = mass @ stuck @ vectors
+    damping = (weighted * (2 * ratio * np.sqrt(np.maximum(values, 0)))) @ weighted.T
+    return 0.5 * (damping + damping.T)
+
+
+def _rigid_motions(
+    structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
+) -> np.ndarray:
+    """Two translations and a rotation of each floating body that has contact nodes, ``(n, r)``, columns of size 1."""
+    comm = structure.mass.comm.tompi4py()
+    nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
+    position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
+    place = np.array([position[int(dof) // 2] for dof in contact])
+    along_x = contact % 2 == 0
+    motions = []
+    for body in structure.mesh.bodies:
+        mine = np.isin(contact // 2, np.concatenate(comm.allgather(body_nodes(structure, body))))
+        if not mine.any() or not is_floating(structure, body):
+            continue
+        offset = place - place[mine].mean(axis=0)
+        offset /= np.abs(offset[mine]).max()
+        for motion in (along_x, ~along_x, np.where(along_x, -offset[:, 1], offset[:, 0])):
+            motions.append(np.concatenate([np.where(mine, motion, 0.0), np.zeros(count - len(contact))]))
+    rigid = np.array(motions).reshape(-1, count).T
+    force = np.abs(stiffness @ rigid).max(axis=0, initial=0) / np.abs(stiffness).max()
+    if (force > 1e-9).any():
+        raise ModesError(
+            f"a rigid motion of a floating body meets elastic forces ({force.max():.2g} of the stiffness): "
+            "do the two bodies share nodes outside the paired flanks?"
+        )
+    return rigid
+
+
+def _multiply(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
+    """Distributed sparse matrix times this rank's rows of dense columns."""
+    x, y = matrix.createVecRight(), matrix.createVecLeft()
+    product = np.empty((y.getLocalSize(), columns.shape[1]))
+    for k in range(columns.shape[1]):
+        x.array[:] = columns[:, k]
+        matrix.mult(x, y)
+        product[:, k] = y.array
+    return product
+
+
+def _inner(x: np.ndarray, y: np.ndarray, comm: MPI.Comm) -> float:
+    return comm.allreduce(float(x @ y))
+
+
+def _sum(part: np.ndarray, comm: MPI.Comm) -> np.ndarray:
+    """Sum over the ranks, the same bits on each of them."""
+    return comm.bcast(comm.reduce(part))

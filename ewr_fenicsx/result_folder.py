@@ -1,0 +1,118 @@
+"""The folder of a run's results: there complete or not at all, and never in place of something that no run wrote."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from mpi4py import MPI
+
+from ewr_fenicsx.errors import OutputError
+
+SUMMARY = "summary.json"  # its key "files" names all files of the folder
+
+T = TypeVar("T")
+
+
+def check_target(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF) -> None:
+    """Checks, before any work is done, that a result folder can be written.
+
+    Raises:
+        OutputError: On every rank. The folder exists, holds files that are no results, or cannot be made.
+    """
+    on_rank_zero(comm, lambda: _check_target(Path(folder), overwrite))
+
+
+@contextmanager
+def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF) -> Iterator[Path]:
+    """A temporary folder beside ``folder`` that takes its place when the block ends, and vanishes when it fails.
+
+    Raises:
+        OutputError: As ``check_target``; or the temporary folder cannot be made or moved.
+    """
+    check_target(folder, overwrite=overwrite, comm=comm)
+    folder = Path(folder).absolute()
+    draft = on_rank_zero(comm, lambda: _make_draft(folder))
+    try:
+        yield draft
+        comm.barrier()
+        on_rank_zero(comm, lambda: _move_into_place(draft, folder))
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """Runs something on rank 0 alone; its value, or its ``OutputError``, is that of every rank.
+
+    Raises:
+        OutputError: ``action`` raised it, or an ``OSError``.
+    """
+    value, error = None, None
+    if comm.rank == 0:
+        try:
+            value = action()
+        except OutputError as caught:
+            error = caught
+        except OSError as caught:
+            error = OutputError(f"cannot write results: {caught.filename or ''}: {caught.strerror}")
+    value, error = comm.bcast((value, error))
+    if error is not None:
+        raise error
+    return value
+
+
+def _check_target(folder: Path, overwrite: bool) -> None:
+    if folder.is_dir() and any(folder.iterdir()):
+        if not overwrite:
+            raise OutputError(
+                f"result folder {folder} exists and is kept; give --overwrite to replace it, or another --out"
+            )
+        if foreign := sorted(_find_foreign_files(folder)):
+            raise OutputError(
+                f"result folder {folder} holds {foreign[0]!r}{f' and {len(foreign) - 1} more' if foreign[1:] else ''}, "
+                "which no run wrote; move it away, or give another --out"
+            )
+    elif folder.exists() and not folder.is_dir():
+        raise OutputError(f"result folder {folder} is a file; give another --out")
+    ancestor = next(parent for parent in folder.absolute().parents if parent.exists())
+    try:
+        with tempfile.TemporaryDirectory(dir=ancestor):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"result folder {folder} cannot be made: {ancestor}: {error.strerror}; give another --out"
+        ) from None
+
+
+def _find_foreign_files(folder: Path) -> set[str]:
+    found = {path.name for path in folder.iterdir()}
+    try:
+        return found - set(json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return found
+
+
+def _make_draft(folder: Path) -> Path:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    mask = os.umask(0)
+    os.umask(mask)
+    draft.chmod(0o777 & ~mask)  # mkdtemp makes folders private
+    return draft
+
+
+def _move_into_place(draft: Path, folder: Path) -> None:
+    if folder.exists():
+        old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
+        folder.rename(old / folder.name)
+        draft.rename(folder)
+        shutil.rmtree(old)
+    else:
+        draft.rename(folder)

@@ -1,0 +1,78 @@
+"""What is wrong with a scene, in the words of the person who wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+
+def explain_mistakes(error: ValidationError, data: Any, file: Path | None, sections: Mapping[str, Any]) -> str:
+    """All that is wrong with a scene, one line for each key.
+
+    Args:
+        error: What pydantic found.
+        data: What was given.
+        file: Where it was read from, or None.
+        sections: The scene's fields by name, to tell where a misplaced key belongs.
+    """
+    mistakes: dict[str, list[str]] = {}
+    for detail in error.errors(include_url=False):
+        key, message = _explain_one(detail, data, sections)
+        mistakes.setdefault(key, []).append(message)
+    lines = [f"{key}: " * bool(key) + ", or ".join(messages) for key, messages in mistakes.items()]
+    return (
+        f"{name_scene(file)}: {lines[0]}"
+        if len(lines) == 1
+        else "\n  ".join([f"{name_scene(file)}: {len(lines)} mistakes", *lines])
+    )
+
+
+def name_scene(file: Path | None) -> str:
+    """How messages call a scene: by its file, where it has one."""
+    return f"scene {file}" if file else "scene"
+
+
+def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, Any]) -> tuple[str, str]:
+    """Key with its value, and what is wrong with it."""
+    kind, message, loc = detail["type"], detail["msg"], detail["loc"]
+    if kind == "unknown_key":
+        loc = (*loc, detail["ctx"]["key"])
+        homes = [
+            name
+            for name, field in sections.items()
+            if loc[-1] in getattr(field.annotation, "model_fields", {})
+        ]
+        if "did you mean" not in message and homes:
+            message = f"unknown key here; it belongs to [{homes[0]}]"
+    elif kind == "kind":
+        loc = (*loc, "kind")
+    elif kind == "missing" and isinstance(loc[-1], int):
+        loc, message = loc[:-1], "has too few entries"
+    elif kind == "missing":
+        return ".".join(
+            str(step) for step in loc if not str(step).startswith("kind=")
+        ), "missing, and it has no default"
+    path: list[str] = []
+    for step in loc:
+        # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote
+        if (isinstance(data, Mapping) and step in data) or (
+            isinstance(data, (list, tuple)) and isinstance(step, int) and step < len(data)
+        ):
+            data = data[step]
+        else:
+            continue
+        path.append(str(step))
+    for theirs, ours in (
+        ("Input should", "should"),
+        ("Tuple should", "should"),
+        ("a valid tuple", "a list"),
+        ("a valid integer", "a whole number"),
+        (" valid", ""),
+    ):
+        message = message.replace(theirs, ours)
+    key = ".".join(path)
+    shown = (isinstance(data, Mapping) and kind != "unknown_key") or not key
+    return key if shown else f"{key} = {data!r}", message

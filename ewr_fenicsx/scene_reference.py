@@ -1,0 +1,104 @@
+"""The reference page of the scene file, from the scene's own definition: ``python -m ewr_fenicsx.scene_reference``."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterator
+
+from pydantic_core import PydanticUndefined
+
+from ewr_fenicsx.scene import Scene, Section
+
+_INTRODUCTION = """\
+# Scene files
+
+A scene is a TOML file: what the joint is, how it is loaded, what to solve. `ewr info SCENE` checks it and tells what it
+holds, `ewr run SCENE` solves it. The same names build a scene in Python: `Scene(geometry=..., loads=...)`.
+
+Only the keys without a default must be given. Paths are relative to the scene file. An unknown key is an error that
+names the nearest known one. `NAME` stands for a name of your choice, `BODY` for a body of the geometry.
+
+A complete scene:
+
+```toml
+[geometry]
+source = "fir_tree.py"
+
+[loads.pull]
+boundary = "tip"
+force = [0.0, 20e3]
+
+[loads.shake]
+boundary = "tip"
+force = [50.0, 0.0]
+harmonic = 1
+
+[excitation]
+frequency = 1000.0
+```
+
+A JSON Schema for editors: `json.dumps(Scene.model_json_schema())`, with `from ewr_fenicsx.scene import Scene`.
+
+This page is generated from `ewr_fenicsx/scene.py`: `python -m ewr_fenicsx.scene_reference > docs/scenes.md`.
+"""
+
+
+def write_reference() -> str:
+    """The page, as markdown."""
+    parts = [_INTRODUCTION, "## Top level\n\n" + _tabulate(Scene, skip_sections=True)]
+    for title, kind in list_sections():
+        parts.append(f"## {title}\n\n{' '.join((kind.__doc__ or '').split())}\n\n{_tabulate(kind)}")
+    return "\n".join(parts)
+
+
+def list_sections() -> Iterator[tuple[str, type[Section]]]:
+    """Title and definition of every table of a scene; alternatives of a table one by one."""
+    for name, field in Scene.model_fields.items():
+        kinds = list(_find_sections(field.annotation))
+        path = name
+        if typing.get_origin(field.annotation) is dict:
+            path += ".BODY" if name == "materials" else ".NAME"
+        for kind in kinds:
+            choice = f', kind = "{typing.get_args(kind.model_fields["kind"].annotation)[0]}"' if len(kinds) > 1 else ""
+            yield f"`[{path}]`{choice}", kind
+
+
+def _find_sections(annotation: typing.Any) -> Iterator[type[Section]]:
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _find_sections(inner)
+
+
+def _tabulate(kind: type[Section], skip_sections: bool = False) -> str:
+    lines = ["| key | unit | default | meaning |", "|---|---|---|---|"]
+    for name, field in kind.model_fields.items():
+        if skip_sections and any(True for _ in _find_sections(field.annotation)):
+            continue
+        unit = (field.json_schema_extra or {}).get("unit", "-")
+        choices = (
+            [str(c) for c in typing.get_args(field.annotation)]
+            if typing.get_origin(field.annotation) is typing.Literal
+            else []
+        )
+        meaning = (field.description or "") + (
+            " One of " + ", ".join(f"`{c}`" for c in choices) + "." if len(choices) > 1 else ""
+        )
+        lines.append(f"| `{name}` | {unit} | {_show_default(field.default)} | {meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+def _show_default(default: typing.Any) -> str:
+    if default is PydanticUndefined:
+        return "**required**"
+    if default is None:
+        return "-"
+    if isinstance(default, str):
+        return f'`"{default}"`'
+    if isinstance(default, tuple):
+        return "`[" + ", ".join(f'"{entry}"' if isinstance(entry, str) else f"{entry:g}" for entry in default) + "]`"
+    return f"`{default:g}`" if isinstance(default, (int, float)) else f"`{default}`"
+
+
+if __name__ == "__main__":
+    print(write_reference(), end="")

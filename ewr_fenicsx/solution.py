@@ -1,0 +1,213 @@
+"""A periodic solution: force amplitudes, and everything that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ewr_fenicsx import indicators
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.compliance import receptance
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+
+HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicSolution:
+    """Result of ``solve``; the histories and figures of merit are computed when asked for.
+
+    Attributes:
+        problem: What was solved.
+        forces: ``(n_h, m)`` complex amplitudes of the unknown contact forces, rows as in ``problem.system`` [N].
+        rigid: ``(r,)`` mean rigid coordinates of floating bodies [m].
+        converged: Whether the residual met the tolerance.
+        reason: Why the solve stopped.
+        iterations: Newton steps, fallbacks included.
+        fallbacks: Every rung of the ladder that was taken, in order; empty where the first attempt converged.
+        residual: Norm of the weighted residual over the natural force.
+        seconds: Wall time of the solve.
+        unknowns: Number of unknowns given to Newton, 0 for a linear problem.
+    """
+
+    problem: ContactProblem
+    forces: ComplexArray
+    rigid: RealArray
+    converged: bool
+    reason: str
+    iterations: int
+    fallbacks: tuple[str, ...]
+    residual: float
+    seconds: float
+    unknowns: int
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics of every amplitude array."""
+        return self.problem.basis.orders
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(n_h,)`` of a named output of the model.
+
+        Raises:
+            ModelError: The model has no such output.
+        """
+        known = self.problem.model.outputs
+        if name not in known:
+            raise ModelError(f'no output "{name}"; the model has {sorted(known)}{nearest(name, known)}')
+        return self.problem.system.compliance.output(name, self.forces, self.rigid)
+
+    @cached_property
+    def coordinates(self) -> ComplexArray:
+        """Amplitudes of the reduced coordinates, ``(n_h, n)``."""
+        system = self.problem.system
+        amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
+        for j, h in enumerate(self.orders):
+            force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
+            amplitudes[j] = receptance(system.model, h * self.problem.omega, np.eye(system.model.size), force[:, None])[:, 0]
+        if self.rigid.size:
+            # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
+            modes = system.model.rigid_modes
+            rows = np.vstack([system.rows, *system.model.outputs.values()])
+            names = system.model.outputs
+            wanted = system.compliance.motion(self.forces, self.rigid)[0].real
+            wanted = np.concatenate([wanted, [system.compliance.output(n, self.forces, self.rigid)[0].real for n in names]])
+            amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
+        return amplitudes @ system.expansion.T
+
+    def history(self, name: str, samples: int = 1024) -> RealArray:
+        """A quantity of every pair over one period, ``(samples, K_c)``.
+
+        Args:
+            name: ``"normal_force"``, ``"friction_force"`` (as truncated), ``"admissible_friction_force"`` (within the cone) [N];
+                ``"gap"`` (initial gap included), ``"slip"`` [m]; ``"slip_velocity"`` [m/s].
+            samples: Samples a period.
+
+        Raises:
+            ModelError: An unknown name.
+        """
+        if name not in HISTORIES:
+            raise ModelError(f'no history "{name}"; choose one of {", ".join(HISTORIES)}{nearest(name, HISTORIES)}')
+        model, basis = self.problem.model, FourierBasis(self.orders, samples)
+        omega = self.problem.omega * np.array(self.orders)[:, None]
+        if name in ("normal_force", "friction_force"):
+            direction = "normal" if name == "normal_force" else "tangential"
+            if direction not in self.pair_forces:
+                return np.zeros((samples, model.pairs))
+            force = basis.synthesise(self.pair_forces[direction])
+            if direction == "normal":  # given harmonics may lie outside those kept
+                everywhere = np.arange(model.pairs)
+                given = {h: a for h, a in self.problem.system.prescribed.items() if h not in self.orders}
+                force += sample_amplitudes(given, everywhere, samples)
+            return force
+        if name == "gap":
+            opening = 0.0 if model.normal is None else basis.synthesise(self.coordinates @ model.normal.T)
+            return opening + np.broadcast_to(self.problem.clearance, (samples, model.pairs))
+        if name in ("slip", "slip_velocity"):
+            if not model.tangents:
+                return np.zeros((samples, model.pairs))
+            slip = self.coordinates @ model.rows("tangential").T
+            return basis.synthesise(slip if name == "slip" else 1j * omega * slip)
+        admissible = self.history("friction_force", samples)
+        for law, fields in self.law_fields(basis):
+            if name in fields:
+                admissible[:, law.pairs] = fields[name]
+        return admissible
+
+    def law_fields(self, basis: FourierBasis) -> list[tuple]:
+        """What each law reports besides its force, at the samples of ``basis``: ``(law, name -> (n_t, K))``."""
+        system = self.problem.system
+        if not system.laws:
+            return []
+        seen = HarmonicBalance(system).sample(self.forces, self.rigid, basis)
+        return [(law, law.fields(motion)) for law, motion in zip(system.laws, seen)]
+
+    @cached_property
+    def pair_forces(self) -> Mapping[str, ComplexArray]:
+        """Amplitudes ``(n_h, K_c)`` of the forces at all pairs by direction, bonded and prescribed ones included [N]."""
+        problem, system, model = self.problem, self.problem.system, self.problem.model
+        directions = ("normal", *model.tangent_directions)
+        found = {d: np.zeros((len(self.orders), model.pairs), dtype=complex) for d in directions}
+        held = []
+        for pairs, laws in problem.groups:
+            for direction in directions:
+                rows = system.row_of(direction, pairs)
+                if np.all(rows >= 0):
+                    found[direction][:, pairs] = self.forces[:, rows]
+                elif (laws.normal if direction == "normal" else laws.tangential) == "bonded":
+                    held.append((direction, pairs))
+        for h, amplitude in system.prescribed.items():
+            if h in self.orders:
+                found["normal"][self.orders.index(h)] += amplitude
+        if held:
+            self._recover_bonds(found, held)
+        return found
+
+    def _recover_bonds(self, found: dict[str, ComplexArray], held: list[tuple[str, np.ndarray]]) -> None:
+        """Forces in bonded pairs: what the equation of motion leaves over."""
+        model = self.problem.model
+        bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
+        for j, h in enumerate(self.orders):
+            w = h * self.problem.omega
+            x = self.coordinates[j]
+            left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x)
+            left = left - self.problem.loads.get(h, 0) - sum(
+                model.rows(d).T @ force[j] for d, force in found.items() if d != "normal" or model.normal is not None
+            )
+            force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
+            start = 0
+            for direction, pairs in held:
+                found[direction][j, pairs] = force[start : start + pairs.size]
+                start += pairs.size
+
+    @cached_property
+    def merit(self) -> dict[str, float]:
+        """Figures of merit: violations of the laws, energies over a period, sliding, separation, RMS of outputs."""
+        problem, model = self.problem, self.problem.model
+        omega = problem.omega or 1.0
+        loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
+        viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
+        sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
+        friction = problem.friction
+        unilateral = np.zeros(model.pairs, dtype=bool)
+        for pairs, laws in problem.groups:
+            unilateral[pairs] = laws.normal == "unilateral"
+        slides = friction > 0
+        work = indicators.measure_work(loads, self.coordinates, self.orders)
+        dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
+        period = 2 * np.pi / omega
+        rubbed = -period * np.sum(np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[slides])
+        scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
+        figures = {
+            "penetration": max(0.0, -float(sampled["gap"][:, unilateral].min(initial=0.0))),
+            "tension": max(0.0, -float(sampled["normal_force"][:, unilateral].min(initial=0.0))),
+            "largest_normal_force": float(sampled["normal_force"].max(initial=0.0)),
+            "cone_violation": indicators.measure_cone_violation(
+                sampled["friction_force"][:, slides], sampled["normal_force"][:, slides], friction[slides]
+            ),
+            "excitation_work": work,
+            "viscous_dissipation": dissipated,
+            "friction_dissipation": float(rubbed),
+            "energy_error": (work - dissipated - float(rubbed)) / scale,
+            "J_T": float(np.mean(indicators.measure_sliding(sampled["slip_velocity"], period))),
+            "J_N": float(np.mean(indicators.measure_separation(sampled["gap"]))),
+        }
+        for name in model.outputs:
+            figures[f"rms_{name}"] = indicators.measure_rms(self.output(name), self.orders)
+        return figures
+
+    def summary(self) -> str:
+        """A few lines for people."""
+        state = "converged" if self.converged else f"NOT converged ({self.reason})"
+        lines = [
+            f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}: {state} in {self.iterations} "
+            f"Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, {self.seconds:.2f} s"
+        ]
+        lines += [f"  fallback: {rung}" for rung in self.fallbacks]
+        return "\n".join(lines)

@@ -1,0 +1,322 @@
+"""The same contact problem stepped in time: transients, steady states, an independent check of the harmonic solver."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.newton import solve
+from ewr_fenicsx.periodicity import Anderson, Watch
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
+
+_BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
+HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyState:
+    """Result of ``integrate``: the last period, step by step.
+
+    Attributes:
+        problem: What was integrated.
+        scheme: The scheme that did it.
+        last: The last period in the scheme's modal coordinates.
+        converged: Whether the motion repeats from period to period and every step of the last period was solved.
+        reason: Why the integration stopped.
+        periods: Periods stepped.
+        changes: ``(periods,)`` relative change from each period to the next; the first is infinite.
+        distance: Estimated distance to the steady state relative to the oscillation, by Anderson's extrapolation; with
+            a slowly decaying motion it is many times the last change. NaN after a single period.
+        unsolved: Steps, over all periods, whose contact solve missed its tolerance.
+        sweeps: Mean number of Gauss-Seidel sweeps a step.
+        seconds: Wall time, compilation left out.
+        transients: Name -> that output at all steps from the start, ``(periods * steps + 1,)``; empty when accelerated.
+    """
+
+    problem: ContactProblem = field(repr=False)
+    scheme: TimeScheme = field(repr=False)
+    last: Period = field(repr=False)
+    converged: bool
+    reason: str
+    periods: int
+    changes: RealArray = field(repr=False)
+    distance: float
+    unsolved: int
+    sweeps: float
+    seconds: float
+    transients: Mapping[str, RealArray] = field(repr=False)
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics of the amplitudes that ``output`` returns."""
+        return self.problem.basis.orders
+
+    @property
+    def end(self) -> State:
+        """State at the end of the last period: where another integration may start."""
+        return State(self.scheme.expansion @ self.last.positions[-1], self.scheme.expansion @ self.last.velocities[-1])
+
+    def summary(self) -> str:
+        """One line for people."""
+        state = "steady" if self.converged else f"NOT steady ({self.reason})"
+        return (
+            f"{self.problem.frequency:g} Hz, {self.scheme.steps} steps a period: {state} after {self.periods} periods, "
+            f"change {self.changes[-1]:.1e}, distance left {self.distance:.1e}, {self.unsolved} steps unsolved, "
+            f"{self.sweeps:.0f} sweeps a step, {self.seconds:.2f} s"
+        )
+
+    def transient(self, name: str) -> RealArray:
+        """A named output at all steps from the start, ``(periods * steps + 1,)``.
+
+        Raises:
+            ModelError: The model has no such output, or the integration was accelerated: its periods do not follow
+                from one another.
+        """
+        self._output_row(name)
+        if name not in self.transients:
+            raise ModelError("an accelerated integration has no transient; integrate with acceleration=False")
+        return self.transients[name]
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(n_h,)`` of a named output over the last period.
+
+        Raises:
+            ModelError: The model has no such output.
+        """
+        steps, orders = self.scheme.steps, np.array(self.orders)
+        spectrum = np.fft.fft(self.last.positions[:-1] @ self._output_row(name)) / steps
+        return np.where(orders == 0, 1.0, 2.0) * spectrum[orders % steps]
+
+    def output_history(self, name: str, samples: int | None = None) -> RealArray:
+        """A named output over the last period, ``(samples,)``, at equal intervals from ``tau = 0``; None: one a step.
+
+        Raises:
+            ModelError: The model has no such output.
+        """
+        return resample((self.last.positions[:-1] @ self._output_row(name))[:, None], 0.0, samples)[:, 0]
+
+    def _output_row(self, name: str) -> RealArray:
+        known = self.problem.model.outputs
+        if name not in known:
+            raise ModelError(f'no output "{name}"; the model has {sorted(known)}{nearest(name, known)}')
+        return known[name] @ self.scheme.expansion
+
+    def history(self, name: str, samples: int | None = None) -> RealArray:
+        """A quantity of every pair over the last period, ``(samples, K_c)``, at equal intervals from ``tau = 0``.
+
+        Forces are impulses over the length of the step, and belong to its middle (``theta``). Between those instants,
+        and between the steps' ends for motions, values are linear.
+
+        Args:
+            name: ``"normal_force"``, ``"friction_force"`` [N]; ``"gap"`` (initial gap included), ``"slip"`` [m];
+                ``"slip_velocity"`` [m/s].
+            samples: Samples a period; None: one a step.
+
+        Raises:
+            ModelError: An unknown name.
+        """
+        if name not in HISTORIES:
+            raise ModelError(f'no history "{name}"; choose one of {", ".join(HISTORIES)}{nearest(name, HISTORIES)}')
+        model, expansion = self.problem.model, self.scheme.expansion
+        zero = np.zeros((self.scheme.steps, model.pairs))
+        if name in ("normal_force", "friction_force"):
+            force = self._pair_forces()["normal" if name == "normal_force" else "tangential"]
+            return resample(force, self.scheme.theta, samples)
+        if name == "gap":
+            opening = zero if model.normal is None else self.last.positions[:-1] @ (model.normal @ expansion).T
+            return resample(opening + self.scheme.pair_gap, 0.0, samples)
+        motion = self.last.positions if name == "slip" else self.last.velocities
+        slip = motion[:-1] @ (model.rows("tangential") @ expansion).T if model.tangents else zero
+        return resample(slip, 0.0, samples)
+
+    def _pair_forces(self) -> dict[str, RealArray]:
+        """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
+        problem, system, scheme = self.problem, self.scheme.system, self.scheme
+        found = {d: np.zeros((scheme.steps, problem.model.pairs)) for d in ("normal", "tangential")}
+        held = []
+        for pairs, laws in problem.groups:
+            for direction, law in (("normal", laws.normal), ("tangential", laws.tangential)):
+                rows = system.row_of(direction, pairs)
+                if law == "prescribed":
+                    found["normal"][:, pairs] = scheme.sample(system.prescribed, pairs)
+                elif np.all(rows >= 0):
+                    found[direction][:, pairs] = self.last.impulses[:, rows] / scheme.dt
+                elif law == "bonded":
+                    held.append((direction, pairs))
+        if held:
+            self._recover_bonds(found, held)
+        return found
+
+    def _recover_bonds(self, found: dict[str, RealArray], held: list[tuple[str, np.ndarray]]) -> None:
+        """Forces in bonded pairs: what the equation of motion leaves over."""
+        model, scheme = self.problem.model, self.scheme
+        x, v = self.last.positions @ scheme.expansion.T, self.last.velocities @ scheme.expansion.T
+        blend = lambda values: (1 - scheme.theta) * values[:-1] + scheme.theta * values[1:]  # noqa: E731
+        left = np.diff(v, axis=0) / scheme.dt @ model.mass.T + blend(v) @ model.damping.T + blend(x) @ model.stiffness.T
+        left -= scheme.sample(model.load, np.arange(model.size))
+        if model.normal is not None:
+            left -= found["normal"] @ model.normal
+        if model.tangents:
+            left -= found["tangential"] @ model.rows("tangential")
+        bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
+        force = np.linalg.lstsq(bonds.T, left.T, rcond=1e-12)[0].T
+        start = 0
+        for direction, pairs in held:
+            found[direction][:, pairs] = force[:, start : start + pairs.size]
+            start += pairs.size
+
+    def measure_energy(self) -> dict[str, float]:
+        """Works over the last period [J], which add up to zero to rounding with ``theta = 1/2``.
+
+        Returns:
+            ``"excitation"`` done by the load; ``"stored"`` gained by the structure, zero in the steady state;
+            ``"viscous"``, ``"friction"``, ``"impact"`` dissipated.
+        """
+        scheme, last = self.scheme, self.last
+        v = (1 - scheme.theta) * last.velocities[:-1] + scheme.theta * last.velocities[1:]
+        work = (last.impulses * (v @ scheme.rows.T)).sum(axis=0)
+        slides = scheme.kind == FRICTION
+        energy = 0.5 * (last.velocities**2 @ scheme.mass + last.positions**2 @ scheme.stiffness)
+        return {
+            "excitation": float(scheme.dt * np.sum(scheme.load * v)),
+            "stored": float(energy[-1] - energy[0]),
+            "viscous": float(scheme.dt * np.sum(v * (v @ scheme.damping.T))),
+            "friction": -float(work[slides].sum()),
+            "impact": -float(work[~slides].sum()),
+        }
+
+
+def resample(values: RealArray, offset: float, samples: int | None) -> RealArray:
+    """Values, one a step at ``offset`` steps past its start, ``(steps, m)``, as ``samples`` from ``tau = 0``."""
+    steps = values.shape[0]
+    at = np.arange(steps if samples is None else samples) * (1.0 if samples is None else steps / samples) - offset
+    before = np.floor(at).astype(int)
+    share = (at - before)[:, None]
+    return (1 - share) * values[before % steps] + share * values[(before + 1) % steps]
+
+
+def integrate(
+    problem: ContactProblem,
+    start: PeriodicSolution | State | str | None = None,
+    steps: int = 800,
+    periods: int = 200,
+    tolerance: float = 1e-5,
+    *,
+    theta: float = 0.5,
+    contact_tolerance: float = 1e-8,
+    sweeps: int = 1000,
+    acceleration: bool = False,
+) -> SteadyState:
+    """Step a contact problem in time until its motion repeats.
+
+    Args:
+        problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
+        start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
+            another result; ``"rest"``: the static full-stick state under the mean load, without velocity; None: the
+            full-stick periodic state.
+        steps: Steps a period.
+        periods: Most periods to step.
+        tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the
+            motion at the pairs) that counts as steady; 0 steps all the periods.
+        theta: Weight of a step's end in its mean: 1/2 conserves energy, up to 1 damps what the step does not resolve.
+        contact_tolerance: Largest change of an impulse in the last sweep of a step, relative to the largest impulse.
+        sweeps: Most Gauss-Seidel sweeps a step; a step that needs more is counted in ``unsolved``.
+        acceleration: Start each period from Anderson's extrapolation of those before: two to ten times fewer periods
+            where a lightly damped motion decays slowly, but no transient. Steadiness is judged by periods that follow
+            from one another either way.
+
+    Returns:
+        The last period. Not steady, or not solved, is said by ``converged`` and ``reason``.
+
+    Raises:
+        ModelError: The problem has no period, the start does not fit it, or ``steps`` or ``periods`` is less than one.
+    """
+    if periods < 1:
+        raise ModelError(f"periods = {periods}; give at least one")
+    scheme = TimeScheme(problem, steps, theta)
+    state = choose_start(problem, start)
+    here = np.concatenate([scheme.contract(state.position), scheme.contract(state.velocity)])
+    impulse = np.zeros(scheme.rows.shape[0])
+    compile_loop()
+    begin = time.perf_counter()
+    watch, anderson = Watch(scheme), Anderson(scheme)
+    sweeps_taken = unsolved = 0
+    reason = f"not steady after {periods} periods"
+    changes: list[float] = []
+    follows = True  # the period starts where the last one ended
+    for _ in range(periods):
+        last = scheme.run_period(*np.split(here, 2), impulse, contact_tolerance, sweeps)
+        end, impulse = np.concatenate([last.positions[-1], last.velocities[-1]]), last.impulses[-1]
+        sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
+        if not np.all(np.abs(end) < _BOUND):
+            reason = f"without bound in period {len(changes) + 1}"
+            changes.append(np.inf)
+            break
+        changes.append(watch.measure_change(last))
+        ahead = anderson.extrapolate(here, end, last)
+        if follows and changes[-1] <= tolerance and not last.unsolved:
+            reason = "steady"
+            break
+        follows = not acceleration or anderson.defect <= tolerance
+        here = end if follows else ahead
+    if last.unsolved:
+        reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
+    return SteadyState(
+        problem=problem,
+        scheme=scheme,
+        last=last,
+        converged=reason == "steady",
+        reason=reason,
+        periods=len(changes),
+        changes=np.array(changes),
+        distance=anderson.distance,
+        unsolved=unsolved,
+        sweeps=sweeps_taken / (len(changes) * scheme.steps),
+        seconds=time.perf_counter() - begin,
+        transients={} if acceleration else watch.transients,
+    )
+
+
+def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str | None) -> State:
+    """State at ``tau = 0`` that ``start`` stands for; see ``integrate``.
+
+    Raises:
+        ModelError: An unknown word, or a state of another size than the model's.
+    """
+    if isinstance(start, State):
+        state = start
+    elif start is None or isinstance(start, str):
+        if start not in (None, "rest"):
+            raise ModelError(f'start = "{start}"; give "rest", None (full stick), a PeriodicSolution or a State')
+        stuck = find_full_stick(problem)
+        state = State(stuck.coordinates[0].real, np.zeros(problem.model.size)) if start == "rest" else state_of(stuck)
+    else:
+        state = state_of(start)
+    for name in ("position", "velocity"):
+        value = np.asarray(getattr(state, name), dtype=float)
+        if value.shape != (problem.model.size,) or not np.isfinite(value).all():
+            raise ModelError(f"start: {name} has shape {value.shape}; expected {problem.model.size} finite coordinates")
+    return state
+
+
+def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
+    """The linear periodic solution in which no pair opens or slips."""
+    if problem.system.rows.shape[0] == 0:
+        return solve(problem)
+    forces, rigid = HarmonicBalance(problem.system).full_stick
+    return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
+
+
+def state_of(solution: PeriodicSolution) -> State:
+    """State of a periodic solution at ``tau = 0``."""
+    amplitudes = solution.coordinates
+    rate = 1j * solution.problem.omega * np.array(solution.orders)
+    return State(amplitudes.sum(axis=0).real, (rate @ amplitudes).real)

@@ -1,0 +1,281 @@
+"""One step in time of a contact system, and the compiled loop over a period.
+
+Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - theta) x_k + theta x_(k+1)``::
+
+    M (v_(k+1) - v_k) = dt (f_theta - D v_theta - K x_theta) + B^T p,      x_(k+1) = x_k + dt v_theta
+    0 <= p_N  _|_  g_k + dt v_N >= 0                                       v at the end of the step: Stewart & Trinkle
+    |p_T| <= mu p_N, slip v_T opposes p_T                                  the true cone
+
+With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B^T p``, and the contact conditions see
+only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
+M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size
+rows x coordinates beside the contact solve. The laws are written again here, apart from ``contact_laws``: this is the
+second formulation, by which the first is judged.
+
+Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Stewart & Trinkle (1996),
+doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.contact_laws import spread_over_pairs
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.harmonics import sample_amplitudes
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+
+UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
+_DIAGONAL = 1e-9  # modal damping counts as diagonal up to this share of the geometric mean of the diagonal entries
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Reduced coordinates ``(n,)`` and their velocities ``(n,)`` [per s] at ``tau = 0``."""
+
+    position: RealArray
+    velocity: RealArray
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """One period as stepped, in modal coordinates.
+
+    Attributes:
+        positions, velocities: ``(steps + 1, n')`` at the ends of the steps.
+        impulses: ``(steps, m)`` of the contact rows [N s].
+        sweeps: Gauss-Seidel sweeps taken.
+        unsolved: Steps whose contact solve missed its tolerance.
+    """
+
+    positions: RealArray
+    velocities: RealArray
+    impulses: RealArray
+    sweeps: int
+    unsolved: int
+
+
+class TimeScheme:
+    """The matrices of one step of a contact problem.
+
+    Args:
+        problem: The problem; its frequency sets the period.
+        steps: Steps a period.
+        theta: 1/2 conserves energy, up to 1 damps what the step does not resolve.
+
+    Raises:
+        ModelError: No period, no steps, or ``theta`` outside [1/2, 1].
+    """
+
+    def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
+        if problem.frequency <= 0:
+            raise ModelError(f"frequency = {problem.frequency} Hz; a time step needs a period: give a positive one")
+        if steps < 1:
+            raise ModelError(f"steps = {steps}; give at least one step a period")
+        if not 0.5 <= theta <= 1:
+            raise ModelError(f"theta = {theta}; from 1/2 (conserves energy) to 1 (damps); less than 1/2 is unstable")
+        self.problem, self.steps, self.theta = problem, int(steps), float(theta)
+        self.dt = 1 / (problem.frequency * steps)
+        self.system = problem.system
+        model = self.system.model
+        reach = (self.theta * self.dt) ** 2
+        inertia = model.mass + reach * model.stiffness
+        _, modes = scipy.linalg.eigh(reach * model.stiffness, inertia)  # a singular mass does no harm in this pencil
+        self.expansion = self.system.expansion @ modes
+        self._contraction = modes.T @ inertia @ self.system.expansion.T
+        self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
+        self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
+        self.damping = modes.T @ model.damping @ modes
+        self.rows = np.ascontiguousarray(self.system.rows @ modes)
+        self.modes = modes
+        self._compose_step()
+        self._compose_laws()
+
+    def _compose_step(self) -> None:
+        theta, dt, n = self.theta, self.dt, self.mass.size
+        own = np.diag(self.damping)
+        rounding = _DIAGONAL * np.sqrt(np.abs(np.outer(own, own))) + 1e-12 * np.abs(own).max(initial=0.0)
+        self.is_diagonal = bool(np.all(np.abs(self.damping - np.diag(own)) <= rounding))
+        spring = theta * dt**2 * self.stiffness
+        if self.is_diagonal:
+            inverse = 1 / (self.mass + theta * dt * own + theta * spring)
+            self.keep, self.pull = 1 - inverse * (dt * own + spring), -dt * inverse * self.stiffness
+            self.keep_dense = self.pull_dense = np.zeros((0, 0))
+            self.push = inverse[:, None] * self.rows.T
+            self._solve = lambda b: inverse[:, None] * b
+        else:
+            factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + theta * dt * self.damping)
+            self._solve = lambda b: scipy.linalg.lu_solve(factor, b)
+            self.keep = self.pull = np.zeros(0)
+            self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
+            self.pull_dense = np.ascontiguousarray(-dt * self._solve(np.diag(self.stiffness)))
+            self.push = self._solve(self.rows.T)
+        self.push = np.ascontiguousarray(self.push)
+        self.delassus_columns = np.ascontiguousarray((self.rows @ self.push).T)  # row i: what impulse i does to all
+
+    def _compose_laws(self) -> None:
+        problem, system = self.problem, self.system
+        m, total = system.rows.shape[0], problem.model.pairs
+        self.kind, self.partner = np.full(m, -1), np.full(m, -1)
+        self.friction, self.initial_gap = np.zeros(m), np.zeros(m)
+        self.pair_gap = np.zeros(total)
+        self.given_limit = np.zeros((self.steps, m))
+        order = []
+        for pairs, laws in problem.groups:
+            normal, tangential = system.row_of("normal", pairs), system.row_of("tangential", pairs)
+            if np.all(normal >= 0):
+                self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
+                if laws.normal == "unilateral":
+                    self.pair_gap[pairs] = self.initial_gap[normal] = spread_over_pairs(laws.initial_gap, pairs, total)
+            if laws.tangential == "coulomb":
+                self.kind[tangential] = FRICTION
+                self.partner[tangential] = normal
+                self.friction[tangential] = spread_over_pairs(laws.friction, pairs, total)
+                if laws.normal == "prescribed":
+                    force = np.maximum(0.0, self.sample(system.prescribed, pairs))
+                    self.given_limit[:, tangential] = self.dt * self.friction[tangential] * force
+            order += [row for both in zip(normal, tangential) for row in both if row >= 0]
+        self.order = np.array(order, dtype=np.int64)
+
+    def sample(self, amplitudes: Mapping[int, ComplexArray], columns: np.ndarray) -> RealArray:
+        """Signals, harmonic -> amplitudes, at ``theta`` within each step: the mean of its ends, ``(steps, K)``."""
+        if not amplitudes:
+            return np.zeros((self.steps, columns.size))
+        ends = sample_amplitudes(amplitudes, columns, self.steps)
+        return (1 - self.theta) * ends + self.theta * np.roll(ends, -1, axis=0)
+
+    @cached_property
+    def load(self) -> RealArray:
+        """Modal load at ``theta`` within each step, ``(steps, n')``."""
+        return self.sample(self.system.load, np.arange(self.system.model.size)) @ self.modes
+
+    @cached_property
+    def velocity_of_load(self) -> RealArray:
+        """Velocity that the load alone adds in each step, ``(steps, n')``."""
+        return np.ascontiguousarray(self.dt * self._solve(self.load.T).T)
+
+    def contract(self, vector: RealArray) -> RealArray:
+        """Modal coordinates ``(n',)`` of reduced ones ``(n,)``, bonded motions left out."""
+        return self._contraction @ vector
+
+    def run_period(
+        self, position: RealArray, velocity: RealArray, impulse: RealArray, tolerance: float, sweeps: int
+    ) -> Period:
+        """Step once through the period.
+
+        Args:
+            position, velocity: ``(n',)`` modal coordinates at ``tau = 0``.
+            impulse: ``(m,)`` first guess of the first step's impulses [N s].
+            tolerance: Largest change of an impulse in the last sweep, relative to the period's largest impulse so far.
+            sweeps: Largest number of sweeps a step.
+        """
+        n, m = self.mass.size, self.rows.shape[0]
+        positions, velocities = np.empty((self.steps + 1, n)), np.empty((self.steps + 1, n))
+        impulses = np.empty((self.steps, m))
+        positions[0], velocities[0] = position, velocity
+        taken, unsolved = compile_loop()(
+            self.theta, self.dt, self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
+            self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.friction,
+            self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
+            positions, velocities, impulses,
+        )  # fmt: skip
+        return Period(positions, velocities, impulses, taken, unsolved)
+
+
+def step_through_period(
+    theta, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order, kind, partner,
+    friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
+):  # fmt: skip
+    """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps."""
+    steps, m = impulses.shape
+    n = positions.shape[1]
+    dense = keep_dense.shape[0] > 0
+    x, v = positions[0].copy(), velocities[0].copy()
+    free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
+    u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
+    if m > 0:
+        np.dot(rows, v, u)
+        np.dot(rows, x, gap)
+        gap += initial_gap
+    largest = np.max(np.abs(p)) if m > 0 else 0.0
+    taken, unsolved = 0, 0
+    for k in range(steps):
+        if dense:
+            np.dot(keep_dense, v, free)
+            np.dot(pull_dense, x, other)
+            for i in range(n):
+                free[i] += other[i] + velocity_of_load[k, i]
+        else:
+            for i in range(n):
+                free[i] = keep[i] * v[i] + pull[i] * x[i] + velocity_of_load[k, i]
+        if m > 0:
+            if k > 1:  # the contact forces are mostly smooth: a line through the last two saves a quarter of the sweeps
+                p[:] = 2.0 * impulses[k - 1] - impulses[k - 2]
+            np.dot(rows, free, u_end)
+            for i in range(m):
+                if p[i] != 0.0:
+                    for j in range(m):
+                        u_end[j] += delassus_columns[i, j] * p[i]
+            solved = False
+            for _ in range(most_sweeps):
+                taken += 1
+                change = 0.0
+                for i in order:
+                    if kind[i] == FRICTION:
+                        trial = p[i] - u_end[i] / delassus_columns[i, i]
+                        limit = friction[i] * max(0.0, p[partner[i]]) if partner[i] >= 0 else given_limit[k, i]
+                        new = min(limit, max(-limit, trial))
+                    else:
+                        new = p[i] - (u_end[i] + gap[i] / dt) / delassus_columns[i, i]
+                        if kind[i] == UNILATERAL:
+                            new = max(0.0, new)
+                    step = new - p[i]
+                    if step != 0.0:
+                        p[i] = new
+                        for j in range(m):
+                            u_end[j] += delassus_columns[i, j] * step
+                        change = max(change, abs(step))
+                        largest = max(largest, abs(new))
+                if change <= tolerance * largest:
+                    solved = True
+                    break
+            if not solved:
+                unsolved += 1
+            np.dot(push, p, push_of_p)
+            for i in range(m):
+                gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
+                u[i] = u_end[i]
+                impulses[k, i] = p[i]
+        for i in range(n):
+            end = free[i] + push_of_p[i]
+            x[i] += dt * (theta * end + (1 - theta) * v[i])
+            v[i] = end
+            positions[k + 1, i] = x[i]
+            velocities[k + 1, i] = v[i]
+    return taken, unsolved
+
+
+@cache
+def compile_loop():
+    """``step_through_period`` as machine code: a few seconds the first time on a machine, then read from numba's cache.
+
+    Raises:
+        ImportError: numba is missing.
+    """
+    try:
+        import numba
+    except ImportError as missing:
+        raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
+    vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
+    arguments = ["f8", "f8", vector, vector, *[matrix] * 6, *[index] * 3, vector, vector, matrix, vector, "f8", "i8"]
+    signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
+    try:
+        return numba.njit(signature, cache=True)(step_through_period)
+    except RuntimeError:  # neither the package nor the home directory can be written: nowhere to keep the cache
+        return numba.njit(signature)(step_through_period)

@@ -1,0 +1,188 @@
+"""What users get wrong: one clear message that names the thing, exit code 2, no traceback, nothing half-written."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ewr_fenicsx.cli import main
+
+ROOT = Path(__file__).parents[2]
+SCENE = """
+[geometry]
+source = "{blocks}"
+parameters = {{ {parameters} }}
+
+[loads.push]
+boundary = "tip"
+force = [0.0, -1000.0]
+
+[loads.shake]
+boundary = "tip"
+force = [100.0, 0.0]
+harmonic = 1
+
+[outputs.tip]
+boundary = "tip"
+direction = [1.0, 0.0]
+
+[excitation]
+frequency = 1000.0
+
+[solver]
+harmonics = 1
+"""
+MIXED_CELLS = '''
+import gmsh
+
+
+def build() -> None:
+    """A block of triangles on a block of quadrilaterals."""
+    for name, bottom in (("disk", 0.0), ("blade", 1.0)):
+        surface = gmsh.model.occ.addRectangle(0.0, bottom, 0.0, 1.0, 1.0)
+        gmsh.model.occ.synchronize()
+        if name == "disk":
+            gmsh.model.mesh.setTransfiniteSurface(surface)
+            gmsh.model.mesh.setRecombine(2, surface)
+        gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [surface]), name)
+    gmsh.model.mesh.generate(2)
+'''
+
+
+@pytest.fixture
+def ewr(tmp_path, monkeypatch, capsys):
+    """Write a scene, run ``ewr run`` on it, and check all that every failure has in common."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(
+        parameters: str = "", change: tuple[str, str] = ("", ""), addition: str = "", arguments: tuple[str, ...] = ()
+    ) -> str:
+        text = SCENE.format(blocks=ROOT / "tests" / "geometry" / "two_blocks.py", parameters=parameters)
+        assert change[0] in text
+        (tmp_path / "scene.toml").write_text(text.replace(*change) + addition)
+        before = sorted(tmp_path.rglob("*"))
+        code = main(["run", "scene.toml", *(arguments or ("--out", "results"))])
+        output = capsys.readouterr()
+        assert code == 2
+        assert output.out == ""
+        message = output.err[output.err.index("ewr: ") :]
+        assert "Traceback" not in output.err
+        assert sorted(tmp_path.rglob("*")) == before, "something was left behind"
+        return message
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("addition", "expected"),
+    [
+        ("[contact]\nfrction = 0.3", 'scene scene.toml: contact.frction = 0.3: unknown key; did you mean "friction"?'),
+        ("[contact]\nfriction = 'high'", "scene scene.toml: contact.friction = 'high': should be a number"),
+        (
+            "[contact]\nfriction = -0.3",
+            "scene scene.toml: contact.friction = -0.3: should be greater than or equal to 0",
+        ),
+        ("[contact", "scene scene.toml: not valid TOML"),
+        (
+            "[contact]\nbody_b = 'disc'",
+            'contact.body_b = "disc": two_blocks.py has no physical group of that name for a body; '
+            'did you mean "disk"?',
+        ),
+        ("[contact]\nflanks = ['jiont']", 'contact.flanks[0] = "jiont"'),
+        ("[supports]\nclamp = ['clmp']", 'supports.clamp[0] = "clmp"'),
+        ("[materials.rotor]\nyoung = 1e11", 'materials.rotor = "rotor"'),
+    ],
+)
+def test_mistake_in_the_scene(ewr, addition, expected):
+    assert expected in ewr(addition=addition)
+
+
+def test_missing_physical_group(ewr):
+    message = ewr(change=('boundary = "tip"\nforce = [0.0', 'boundary = "tp"\nforce = [0.0'))
+    assert 'loads.push.boundary = "tp"' in message
+    assert 'did you mean "tip"?' in message
+
+
+def test_unknown_parameter_of_the_builder(ewr):
+    message = ewr(parameters="colums = 5")
+    assert "two_blocks.py" in message
+    assert 'did you mean "columns"?' in message
+
+
+def test_unequal_flank_nodes(ewr):
+    message = ewr(parameters="columns = 6, disk_columns = 5")
+    assert re.search(r'flank "joint": 7 nodes on the blade, 6 on the disk; give both curves the same', message)
+
+
+def test_pair_further_apart_than_the_tolerance(ewr):
+    message = ewr(parameters="shift = 1e-5")
+    assert 'flank "joint"' in message
+    assert "1e-05 m away" in message
+
+
+def test_mixed_cell_types(ewr, tmp_path):
+    (tmp_path / "mixed.py").write_text(MIXED_CELLS)
+    message = ewr(change=(str(ROOT / "tests" / "geometry" / "two_blocks.py"), "mixed.py"))
+    assert "mixed.py" in message
+    assert "cells of 2 types" in message
+
+
+def test_floating_body_that_nothing_holds(ewr):
+    message = ewr(change=("force = [0.0, -1000.0]", "force = [0.0, 1000.0]"))  # pulls the blade off its seat
+    assert re.search(r"held|holds?", message), message
+
+
+def test_unwritable_folder(ewr, tmp_path):
+    message = ewr(arguments=("--out", "/proc/ewr/results"))  # even root cannot write there
+    assert "result folder /proc/ewr/results cannot be made" in message
+    (tmp_path / "taken").touch()
+    assert "taken" in ewr(arguments=("--out", "taken/results"))
+
+
+def test_existing_result_folder_is_kept(ewr, tmp_path):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "summary.json").write_text('{"files": ["summary.json"]}')
+    message = ewr()
+    assert "result folder results exists" in message
+    assert "--overwrite" in message
+    assert (tmp_path / "results" / "summary.json").read_text() == '{"files": ["summary.json"]}'
+
+
+def test_overwrite_spares_files_that_no_run_wrote(ewr, tmp_path):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "thesis.txt").write_text("years of work")
+    message = ewr(arguments=("--out", "results", "--overwrite"))
+    assert "'thesis.txt'" in message
+    assert (tmp_path / "results" / "thesis.txt").read_text() == "years of work"
+
+
+def test_scene_file_that_is_not_there(tmp_path, capsys):
+    assert main(["info", str(tmp_path / "nowhere.toml")]) == 2
+    assert "nowhere.toml: cannot be read: No such file" in capsys.readouterr().err
+
+
+def test_unknown_argument(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "scene.toml", "--overwite"])
+    assert stopped.value.code == 2
+    assert "--overwite" in capsys.readouterr().err
+
+
+def test_installed_command_prints_one_message_and_exits_with_2(tmp_path):
+    (tmp_path / "scene.toml").write_text("titel = 'x'")
+    done = subprocess.run(
+        [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("ewr: scene scene.toml:")
+    assert 'did you mean "title"?' in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,143 @@
+"""Other scenes than the default one: laws, elements, loads and sources of geometry, each through files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+
+from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.cli import main
+
+ROOT = Path(__file__).parents[2]
+BLOCKS = ROOT / "tests" / "geometry" / "two_blocks.py"
+SCENE = """
+[geometry]
+source = "{source}"
+
+[loads.push]
+boundary = "tip"
+force = [0.0, -1000.0]
+
+[loads.shake]
+boundary = "tip"
+force = [50.0, 0.0]
+harmonic = 1
+
+[outputs.tip]
+boundary = "tip"
+direction = [1.0, 0.0]
+
+[excitation]
+frequency = 1000.0
+
+[solver]
+harmonics = 3
+
+"""
+ALL_FIELDS = {"contact_pressure", "friction_traction", "gap", "slip", "contact_state"}
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Solve a variant of the blocks' scene; returns its summary and the names of its files."""
+
+    def solve_variant(addition: str = "", source: Path = BLOCKS) -> tuple[dict, set[str]]:
+        (tmp_path / "scene.toml").write_text(SCENE.format(source=source) + addition)
+        assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results"), "--overwrite"]) == 0
+        summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+        assert sorted(path.name for path in (tmp_path / "results").iterdir()) == summary["files"]
+        return summary, {Path(name).stem for name in summary["files"] if name.endswith(".xdmf")} - {
+            "displacement",
+            "mesh_tags",
+        }
+
+    return solve_variant
+
+
+def tip_amplitude(summary: dict, harmonic: int = 1) -> complex:
+    return next(a["real"] + 1j * a["imag"] for a in summary["solution"]["outputs"]["tip"] if a["harmonic"] == harmonic)
+
+
+@pytest.mark.parametrize(
+    ("laws", "missing", "linear"),
+    [
+        ("", set(), False),
+        ("normal = 'bonded'\ntangential = 'bonded'", {"gap", "slip"}, True),
+        ("normal = 'unilateral'\ntangential = 'bonded'", {"slip"}, False),
+        ("normal = 'bonded'\ntangential = 'coulomb'", {"gap"}, False),
+        ("initial_gap = 1e-7", set(), False),
+    ],
+)
+def test_laws_decide_which_fields_there_are(run, laws, missing, linear):
+    summary, fields = run("[contact]\n" + laws)
+    assert fields == ALL_FIELDS - missing
+    assert (summary["solution"]["unknowns"] == 0) == linear
+    assert abs(tip_amplitude(summary)) > 0
+
+
+def test_quadratic_elements_are_softer_by_little(run):
+    linear, _ = run("[contact]\nnormal = 'bonded'\ntangential = 'bonded'")
+    quadratic, fields = run("[elasticity]\ndegree = 2\n[contact]\nnormal = 'bonded'\ntangential = 'bonded'")
+    assert quadratic["model"]["nodes"] > 3 * linear["model"]["nodes"]
+    assert quadratic["model"]["pairs"] == 2 * linear["model"]["pairs"] - 1
+    assert 1 < abs(tip_amplitude(quadratic) / tip_amplitude(linear)) < 1.2
+    assert fields == ALL_FIELDS - {"gap", "slip"}
+
+
+def test_mesh_file_gives_the_result_of_its_builder(run, tmp_path):
+    built, _ = run()
+    gmsh.initialize([], False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    namespace: dict = {}
+    exec(compile(BLOCKS.read_text(), BLOCKS, "exec"), namespace)
+    namespace["build"]()
+    gmsh.write(str(tmp_path / "blocks.msh"))
+    gmsh.finalize()
+    read, _ = run(source=tmp_path / "blocks.msh")
+    assert tip_amplitude(read) == pytest.approx(tip_amplitude(built), rel=1e-8)
+
+
+def test_dovetail_knows_nothing_of_fir_trees(tmp_path):
+    text = (
+        (ROOT / "demos" / "blade_root.toml")
+        .read_text()
+        .replace("../geometry/fir_tree.py", str(ROOT / "geometry" / "dovetail.py"))
+    )
+    (tmp_path / "scene.toml").write_text(text)
+    chain = build_chain(load_scene(tmp_path / "scene.toml"))
+    assert chain.interface.flanks == ("left", "right")
+    assert chain.reduction.full_stick.frequency[0] > 100
+
+
+def test_rotation_takes_the_place_of_the_axial_pull(tmp_path):
+    """The centrifugal force grows with the square of the speed and pulls outwards, along +y."""
+    default = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    head, tail = default.split("[loads.axial_pull]")
+    resultants = []
+    for speed in (5000, 10000):
+        text = (
+            head
+            + f"[loads.axial_pull]\nkind = 'rotation'\nspeed = {speed}\n\n[loads.tip_shake]"
+            + tail.split("[loads.tip_shake]")[1]
+        )
+        (tmp_path / "scene.toml").write_text(text)
+        scene = load_scene(tmp_path / "scene.toml")
+        chain = build_chain(scene)
+        solution = solve(pose_problem(scene, chain.reduction.model))
+        normal, friction = (solution.history(name, 64).mean(axis=0) for name in ("normal_force", "friction_force"))
+        resultants.append(friction @ chain.interface.tangent - normal @ chain.interface.normal)
+    assert all(resultant[1] < -1000 for resultant in resultants), "the disk holds the blade back"
+    np.testing.assert_allclose(resultants[1][1], 4 * resultants[0][1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("damping", ["kind = 'rayleigh'\nalpha = 30.0\nbeta = 1e-7", "kind = 'modal'\nratio = 0.01"])
+def test_each_form_of_damping_dissipates(run, damping):
+    summary, _ = run(f"[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[damping]\n{damping}")
+    merit = summary["solution"]["merit"]
+    assert merit["viscous_dissipation"] > 0
+    assert merit["excitation_work"] == pytest.approx(merit["viscous_dissipation"], rel=1e-6)

@@ -1,0 +1,59 @@
+"""The chain from mesh to reduced model gives the same figures on one rank and on two."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPT = Path(__file__).with_name("chain_on_ranks.py")
+TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
+
+
+def run_chain(mpirun, tmp_path, ranks, source, parameters, degree):
+    target = tmp_path / f"{ranks}.npz"
+    finished = mpirun(
+        ranks, "python", "-m", "mpi4py", SCRIPT, source, json.dumps(parameters), str(degree), target, timeout=120.0
+    )
+    assert finished.returncode == 0, finished.stderr
+    with np.load(target) as figures:
+        return dict(figures)
+
+
+# blocks of as many cells each: the partitioner then cuts along the joint
+@pytest.mark.parametrize(
+    "source, parameters, degree",
+    [
+        (TWO_BLOCKS, {"disk_rows": 8}, 1),
+        (TWO_BLOCKS, {"disk_rows": 8}, 2),
+        (FIR_TREE, {}, 1),
+    ],
+)
+def test_one_and_two_ranks_agree(mpirun, tmp_path, source, parameters, degree):
+    """Pairs, areas, modes, matrices, compliance and an expanded field to 1e-9; every rank holds the same bits."""
+    one, two = (run_chain(mpirun, tmp_path, ranks, source, parameters, degree) for ranks in (1, 2))
+    if source == TWO_BLOCKS:
+        assert two["bodies_on_rank"].sum(axis=1).tolist() == [1, 1], "each body should live on a rank of its own"
+    np.testing.assert_array_equal(one["cells"], two["cells"])
+    assert two["pairs_agree"] and two["models_agree"]
+    for name in ("position", "area", "normal", "fixed", "stick", "tip", "energy"):
+        np.testing.assert_allclose(two[name], one[name], rtol=1e-9, atol=1e-12 * np.abs(one[name]).max(), err_msg=name)
+    for name in ("compliance", "stiffness", "mass"):
+        scale = np.abs(one[name]).max()
+        np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-9 * scale, err_msg=name)
+    for figures in (one, two):
+        assert figures["energy"] == pytest.approx(figures["work"], rel=1e-9)
+        assert (figures["rigid"] < 1e-12).all()
+
+
+def test_error_on_two_ranks_stops_both(mpirun, tmp_path):
+    """A joint that cannot be paired is refused on every rank, in time, with the flank's name."""
+    builder = tmp_path / "apart.py"
+    builder.write_text(TWO_BLOCKS.read_text().replace("shift: float = 0.0", "shift: float = 1e-5"))
+    finished = mpirun(2, "python", "-m", "mpi4py", SCRIPT, builder, "{}", "1", tmp_path / "none.npz", timeout=60.0)
+    assert finished.returncode != 0
+    assert 'InterfaceError: flank "joint"' in finished.stderr
+    assert not (tmp_path / "none.npz").exists()

@@ -1,0 +1,435 @@
+"""The weighted residual against loops written out here, and its Jacobian in stick, slip, open and mixed states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+from small_models import dovetail, lift_off_oscillator, random_structure
+
+from ewr_fenicsx import ContactLaws, ContactProblem
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.contact_problem import MEAN_FRICTION_REGULARISATION
+
+FREQUENCY = 0.21
+STATES = ("stick", "slip", "open", "mixed")
+
+
+def laws_of(kind: str) -> ContactLaws | list:
+    """Every law combination that has unknowns, by name."""
+    varying = {0: np.array([9.0, 8.0, 10.0]), 1: np.array([3.0j, 2.0, -4.0])}
+    single = {
+        "unilateral coulomb": ContactLaws(friction=[0.3, 0.5, 0.8]),
+        "unilateral coulomb, mean zero": ContactLaws(friction=0.4, static_friction="zero"),
+        "unilateral frictionless": ContactLaws(tangential="frictionless", initial_gap=[0.0, 0.1, 0.3]),
+        "unilateral bonded": ContactLaws(tangential="bonded"),
+        "bonded coulomb": ContactLaws("bonded", friction=0.4),
+        "bonded coulomb, mean zero": ContactLaws("bonded", friction=0.4, static_friction="zero"),
+        "prescribed coulomb": ContactLaws("prescribed", friction=0.4, normal_force=8.0),
+        "varying coulomb": ContactLaws("prescribed", friction=0.4, normal_force=varying),
+        "varying coulomb, mean zero": ContactLaws(
+            "prescribed", friction=0.4, normal_force=varying, static_friction="zero"
+        ),
+    }
+    groups = {
+        "groups": [
+            ([2], ContactLaws(friction=0.3)),
+            ([1, 0], ContactLaws("bonded", friction=0.6, static_friction="zero")),
+        ],
+        "bond in a group": [([1], ContactLaws("bonded", "bonded")), ([0, 2], ContactLaws(friction=0.5))],
+        "prescribed in a group": [
+            ([1], ContactLaws("prescribed", normal_force=8.0)),
+            ([2, 0], ContactLaws(friction=0.5)),
+        ],
+        "free in a group": [([0, 2], ContactLaws(tangential="frictionless")), ([1], ContactLaws(friction=0.5))],
+    }
+    return (single | groups)[kind]
+
+
+COMBINATIONS = (
+    "unilateral coulomb",
+    "unilateral coulomb, mean zero",
+    "unilateral frictionless",
+    "unilateral bonded",
+    "bonded coulomb",
+    "bonded coulomb, mean zero",
+    "prescribed coulomb",
+    "varying coulomb",
+    "varying coulomb, mean zero",
+    "groups",
+    "bond in a group",
+    "prescribed in a group",
+    "free in a group",
+)
+
+
+def combine_with(*harmonics) -> list[tuple]:
+    """Law combinations with sets of harmonics; a prescribed mean force needs the mean."""
+    given = ("prescribed", "varying")
+    return [(k, h) for k in COMBINATIONS for h in harmonics if not (h == (1, 3, 5) and k.startswith(given))]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A problem, and unknowns at which its pairs are in a chosen state."""
+
+    problem: ContactProblem
+    balance: HarmonicBalance
+    unknowns: np.ndarray
+
+
+def prepare(kind: str, state: str, harmonics=3, samples: int | None = None, seed: int = 0) -> Point:
+    """Loads chosen so that chosen forces go with chosen motions: every row is then in the state asked for."""
+    model = random_structure(size=10)
+    problem = ContactProblem(model, laws_of(kind), FREQUENCY, harmonics, samples)
+    system = problem.system
+    rng = np.random.default_rng(seed)
+    orders, m = system.basis.orders, system.rows.shape[0]
+    ripple = lambda size: (rng.normal(size=(len(orders), m)) + 1j * rng.normal(size=(len(orders), m))) * size  # noqa: E731
+    decay = 1.0 / (1.0 + np.array(orders)[:, None])
+    forces, motion = ripple(0.3) * decay, ripple(1e-3) * decay
+    normal = system.index["normal"][system.index["normal"] >= 0] if "normal" in system.index else np.zeros(0, dtype=int)
+    rub = (
+        system.index["tangential"][system.index["tangential"] >= 0]
+        if "tangential" in system.index
+        else np.zeros(0, int)
+    )
+    first = orders.index(1)
+    if state == "mixed":
+        forces, motion = ripple(4.0) * decay, ripple(4.0) * decay
+        if orders[0] == 0:
+            forces[0, normal] += 4.0
+    elif state == "open":
+        motion[0 if orders[0] == 0 else first, normal] = 30.0
+        forces[0, normal] -= 2.0 * (orders[0] == 0)  # no cone either
+    elif orders[0] == 0:
+        forces[0, normal] = 20.0
+    if state == "slip":
+        motion[first, rub] = 300.0 * np.exp(1j * rng.uniform(0, 6, rub.size))
+    if orders[0] == 0:
+        forces[0], motion[0] = forces[0].real, motion[0].real
+        for law, rows in zip(system.laws, HarmonicBalance(system).law_rows, strict=True):
+            if law.static_row == 0:
+                forces[0, rows] = 0.0
+    load = {}
+    for j, h in enumerate(orders):
+        w = h * problem.omega
+        impedance = model.stiffness - w**2 * model.mass + 1j * w * model.damping
+        wanted = motion[j] - system.compliance.flexibility[j] @ forces[j] - system.compliance.free_motion[j]
+        load[h] = impedance @ system.expansion @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
+        if system.expansion.shape[1] < model.size:  # bonds: the load must move the bonded structure there
+            T = system.expansion
+            load[h] = T @ (T.T @ impedance @ T) @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
+        load[h] = load[h].real if h == 0 else load[h]
+    problem = replace(problem, model=replace(model, load=load))
+    balance = HarmonicBalance(problem.system)
+    np.testing.assert_allclose(balance.compliance.motion(forces, np.zeros(0)), motion, atol=1e-9 * np.abs(motion).max())
+    return Point(problem, balance, balance.pack(forces, np.zeros(0)))
+
+
+def evaluate_series(wave: np.ndarray, amplitudes: list) -> float:
+    return sum((w * a).real for w, a in zip(wave, amplitudes, strict=True))
+
+
+def residual_by_loops(problem: ContactProblem, forces: np.ndarray, samples: int) -> np.ndarray:
+    """One-sided amplitudes ``(n_h, m)`` of the laws' residuals [N], from the equations of formulation and nothing else.
+
+    Bonded pairs are held by Lagrange multipliers here, not by projection.
+    """
+    model, orders, omega = problem.model, problem.basis.orders, problem.omega
+    active = {"normal": [], "tangential": []}
+    bonds, laws_at = [], {}
+    for pairs, laws in problem.groups:
+        for k in pairs:
+            laws_at[int(k)] = laws
+    for k in range(model.pairs):
+        laws = laws_at[k]
+        if laws.normal == "unilateral" or (laws.normal == "bonded" and laws.tangential == "coulomb"):
+            active["normal"].append(k)
+        elif laws.normal == "bonded":
+            bonds.append(model.normal[k])
+        if laws.tangential == "coulomb":
+            active["tangential"].append(k)
+        elif laws.tangential == "bonded":
+            bonds.append(model.tangential[k])
+    rows = [("normal", k) for k in active["normal"]] + [("tangential", k) for k in active["tangential"]]
+    rows.sort(key=lambda row: problem.system.index[row[0]][row[1]])
+    B = np.array([getattr(model, direction)[k] for direction, k in rows])
+    A = np.array(bonds).reshape(-1, model.size)
+    given = {k: laws_at[k].normal_force for k in range(model.pairs) if laws_at[k].normal == "prescribed"}
+    given = {k: force if isinstance(force, dict) else {0: force} for k, force in given.items()}
+    given = {k: {h: np.broadcast_to(a, model.pairs)[k] for h, a in force.items()} for k, force in given.items()}
+    q = []
+    for h, force in zip(orders, forces, strict=True):
+        w = h * omega
+        impedance = model.stiffness + 1j * w * model.damping - w**2 * model.mass
+        right = B.T @ force + model.load.get(h, 0) + sum(model.normal[k] * given[k].get(h, 0) for k in given)
+        saddle = np.block([[impedance, A.T], [A, np.zeros((len(A), len(A)))]])
+        x = np.linalg.solve(saddle, np.concatenate([right, np.zeros(len(A))]))[: model.size]
+        q.append(B @ x)
+    rho = {}
+    for law in problem.system.laws:
+        for i, k in enumerate(law.pairs):
+            rho[law.direction, int(k)] = law.rho[i]
+    result = np.zeros((len(orders), len(rows)), dtype=complex)
+    for i in range(samples):
+        tau = 2 * np.pi * i / samples
+        wave = np.exp(2j * np.pi * np.array(orders) * i / samples)
+        at = partial(evaluate_series, wave)
+        for r, (direction, k) in enumerate(rows):
+            lam, motion = at([f[r] for f in forces]), at([m[r] for m in q])
+            if direction == "normal" and laws_at[k].normal == "bonded":
+                value = rho[direction, k] * motion
+            elif direction == "normal":
+                gap = motion + np.broadcast_to(laws_at[k].initial_gap, model.pairs)[k]
+                value = lam + min(0.0, rho[direction, k] * gap - lam)
+            else:
+                velocity = at([1j * h * omega * m[r] for h, m in zip(orders, q, strict=True)])
+                if k in given:
+                    pressed = sum((a * np.exp(1j * h * tau)).real for h, a in given[k].items())
+                else:
+                    pressed = at([f[rows.index(("normal", k))] for f in forces])
+                cone = np.broadcast_to(laws_at[k].friction, model.pairs)[k] * max(0.0, pressed)
+                # psi_T = v + min(0, rho (lam + mu c) - v) + max(0, rho (lam - mu c) - v), divided by rho
+                p = rho[direction, k]
+                value = velocity + min(0.0, p * (lam + cone) - velocity) + max(0.0, p * (lam - cone) - velocity)
+                value /= p
+            for j, h in enumerate(orders):
+                result[j, r] += value * np.exp(-1j * h * tau) / samples * (1 if h == 0 else 2)
+    for r, (direction, k) in enumerate(rows):  # the mean friction: set to zero, or decided by a whisper of itself
+        if direction == "tangential" and orders[0] == 0:
+            if laws_at[k].static_friction == "zero":
+                result[0, r] = 0.0
+            else:
+                result[0, r] += MEAN_FRICTION_REGULARISATION * forces[0, r]
+    return result
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("kind", COMBINATIONS)
+def test_residual_is_the_projected_law(kind, state):
+    point = prepare(kind, state, samples=32)
+    balance = point.balance
+    forces, _ = balance.unpack(point.unknowns)
+    expected = balance.basis.to_coefficients(residual_by_loops(point.problem, forces, 32))[balance.unknown]
+    found = balance.residual(point.unknowns) * balance.force_unit
+    np.testing.assert_allclose(found, expected, atol=1e-9 * max(np.abs(expected).max(), np.abs(forces).max()))
+    np.testing.assert_array_equal(balance.linearise(point.unknowns).residual, balance.residual(point.unknowns))
+
+
+@pytest.mark.parametrize("harmonics", [(1, 3, 5), (0, 2, 1), 0, 1])
+def test_residual_for_sparse_harmonics(harmonics):
+    kind = "unilateral coulomb"
+    if harmonics == 0:
+        problem = ContactProblem(random_structure(size=10), laws_of(kind), FREQUENCY, 0)
+        balance = HarmonicBalance(problem.system)
+        unknowns = np.random.default_rng(0).normal(size=balance.size)
+        point = Point(problem, balance, unknowns)
+    else:
+        point = prepare(kind, "mixed", harmonics, samples=24)
+    forces, _ = point.balance.unpack(point.unknowns)
+    expected = residual_by_loops(point.problem, forces, point.balance.basis.samples)
+    expected = point.balance.basis.to_coefficients(expected)[point.balance.unknown]
+    found = point.balance.residual(point.unknowns) * point.balance.force_unit
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def states_seen(point: Point) -> dict[str, set[str]]:
+    """What the pairs do over the period, told from the derivatives of their laws."""
+    seen = {"normal": set(), "tangential": set()}
+    step = point.balance.linearise(point.unknowns)
+    directions = {int(r): d for d, rows in point.balance.system.index.items() for r in rows if r >= 0}
+    for d in step.derivatives:
+        if np.array_equal(d.rows, d.columns) and d.variable == "force":
+            for column, row in enumerate(d.rows):
+                seen[directions[int(row)]] |= {float(v) for v in np.unique(d.values[:, column])}
+    return seen
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_states_are_what_they_are_called(state):
+    """Guards the tests below: 1 = force rows (open, slip), 0 = motion rows (closed, stick)."""
+    seen = states_seen(prepare("unilateral coulomb", state))
+    expected = {
+        "stick": {"normal": {0.0}, "tangential": {0.0}},
+        "slip": {"normal": {0.0}, "tangential": {0.0, 1.0}},
+        "open": {"normal": {1.0}, "tangential": {1.0}},
+        "mixed": {"normal": {0.0, 1.0}, "tangential": {0.0, 1.0}},
+    }[state]
+    assert seen["normal"] == expected["normal"]
+    assert seen["tangential"] == expected["tangential"]
+
+
+def selections_agree(balance: HarmonicBalance, first: np.ndarray, second: np.ndarray) -> bool:
+    one, other = balance.linearise(first).derivatives, balance.linearise(second).derivatives
+    return all(np.array_equal(a.values, b.values) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("kind, harmonics", combine_with(3, (1, 3, 5), (0, 2, 1)), ids=str)
+def test_jacobian_equals_finite_differences_away_from_kinks(kind, state, harmonics):
+    """The residual is piecewise linear: where no sample changes its branch, central differences are exact."""
+    point = prepare(kind, state, harmonics, samples=64)
+    balance, x = point.balance, point.unknowns
+    matrix = balance.linearise(x).matrix()
+    assert matrix.shape == (balance.size, balance.size)
+    scale, worst = np.abs(matrix).max(), 0.0
+    for i in range(balance.size):
+        step = np.zeros(balance.size)
+        step[i] = 1e-5 * max(1.0, np.abs(x).max())
+        while not (selections_agree(balance, x, x + step) and selections_agree(balance, x, x - step)):
+            step /= 4
+            assert step[i] > 1e-12, "a sample sits on a kink"
+        slope = (balance.residual(x + step) - balance.residual(x - step)) / (2 * step[i])
+        rounding = 1e-15 * (np.abs(x).max() + scale * np.abs(x).max()) / step[i]
+        worst = max(worst, np.abs(slope - matrix[:, i]).max() - 20 * rounding)
+    assert worst < 1e-9 * scale
+
+
+@pytest.mark.parametrize("kind", COMBINATIONS)
+def test_taylor_remainder_falls_with_the_square_of_the_step(kind):
+    """Across kinks too: the share of a densely sampled period that changes its branch shrinks with the step."""
+    point = prepare(kind, "mixed", harmonics=2, samples=2**16)
+    balance, x = point.balance, point.unknowns
+    step = balance.linearise(x)
+    direction = np.random.default_rng(3).normal(size=balance.size) * np.abs(x).max()
+    sizes = 0.01 * 2.0 ** -np.arange(5)
+    remainders = [
+        np.linalg.norm(balance.residual(x + size * direction) - step.residual - size * step.multiply(direction))
+        for size in sizes
+    ]
+    slope = np.polyfit(np.log(sizes), np.log(remainders), 1)[0]
+    assert 1.9 < slope < 2.1, remainders
+
+
+def test_taylor_remainder_vanishes_where_no_sample_changes_its_branch():
+    point = prepare("unilateral coulomb", "stick")
+    balance, x = point.balance, point.unknowns
+    direction = 1e-3 * np.random.default_rng(3).normal(size=balance.size) * np.abs(x).max()
+    assert selections_agree(balance, x, x + direction)
+    step = balance.linearise(x)
+    remainder = balance.residual(x + direction) - step.residual - step.multiply(direction)
+    assert np.abs(remainder).max() < 1e-13 * np.abs(x).max() * balance.size
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("kind, harmonics", combine_with(3, (1, 3, 5), 9), ids=str)
+def test_products_and_eliminated_solves_are_those_of_the_dense_matrix(kind, state, harmonics):
+    """Row elimination takes exactly the dense Newton step."""
+    point = prepare(kind, state, harmonics)
+    step = point.balance.linearise(point.unknowns)
+    check_against_dense(step, point.balance)
+
+
+def check_against_dense(step, balance: HarmonicBalance) -> None:
+    matrix = step.matrix()
+    rng = np.random.default_rng(9)
+    for _ in range(2):
+        vector = rng.normal(size=balance.size)
+        product = matrix @ vector
+        # the matrix holds 1e-13 of each row's flexibility on its diagonal, so that redundant pairs stay solvable
+        np.testing.assert_allclose(
+            step.multiply(vector), product, atol=1e-11 * np.abs(matrix).max() * np.abs(vector).max()
+        )
+        dense = np.linalg.solve(matrix, vector)
+        tolerance = 1e-10 if np.linalg.cond(matrix) < 1e6 else 1e-16 * np.linalg.cond(matrix)
+        np.testing.assert_allclose(step.solve(vector), dense, atol=tolerance * np.abs(dense).max())
+        assert np.linalg.norm(matrix @ step.solve(vector) - vector) < 1e-10 * np.linalg.norm(vector) * max(
+            1.0, np.abs(matrix).max() * np.abs(dense).max() / np.abs(vector).max() * 1e-3
+        )
+
+
+@pytest.mark.parametrize(
+    "kind", [("unilateral", "coulomb"), ("unilateral", "frictionless"), ("bonded", "coulomb")], ids="-".join
+)
+@pytest.mark.parametrize("noise", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("inverse", ["inertia relief", "pinned"])
+def test_floating_bodies_products_solves_and_finite_differences(kind, noise, inverse):
+    """From full stick (all rows steady) to rows that change status, with the rigid motions among the unknowns."""
+    normal, tangential = kind
+    model = dovetail(excitation=60.0 if noise else 0.1)
+    problem = ContactProblem(
+        model, ContactLaws(normal, tangential, friction=0.5), 300.0, 3, generalised_inverse=inverse
+    )
+    balance = HarmonicBalance(problem.system)
+    rng = np.random.default_rng(1)
+    x = balance.pack(*balance.full_stick)
+    x = x + noise * rng.normal(size=x.size) * np.abs(x).mean()
+    step = balance.linearise(x)
+    assert balance.rigid == 3
+    if noise == 0.0:
+        assert step.steady.all()
+    if noise == 3.0:
+        assert not step.steady.all()
+    check_against_dense(step, balance)
+    matrix, scale = step.matrix(), np.abs(step.matrix()).max()
+    for i in [*rng.choice(balance.size, 12, replace=False), balance.size - 1, balance.size - 3]:
+        h = np.zeros(balance.size)
+        h[i] = 1e-5
+        while not (selections_agree(balance, x, x + h) and selections_agree(balance, x, x - h)):
+            h /= 4
+            assert h[i] > 1e-12
+        slope = (balance.residual(x + h) - balance.residual(x - h)) / (2 * h[i])
+        np.testing.assert_allclose(slope, matrix[:, i], atol=1e-9 * scale + 1e-14 * scale * np.abs(x).max() / h[i])
+
+
+def test_full_stick_closes_every_gap_and_stops_every_slip():
+    model = lift_off_oscillator()
+    problem = ContactProblem(model, ContactLaws(initial_gap=0.05), 0.1, 3)
+    balance = HarmonicBalance(problem.system)
+    forces, rigid = balance.full_stick
+    motion = balance.compliance.motion(forces, rigid)
+    np.testing.assert_allclose(motion[:, 0], [-0.05, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(motion[1:, 1], 0, atol=1e-12)
+    assert forces[0, 1] == 0.0, "the mean friction force of a pair that sticks is taken as zero"
+
+
+def test_full_stick_of_a_floating_body_balances_its_loads():
+    problem = ContactProblem(dovetail(), ContactLaws(), 300.0, 3)
+    balance = HarmonicBalance(problem.system)
+    forces, rigid = balance.full_stick
+    c = balance.compliance
+    np.testing.assert_allclose(
+        c.rigid_motion.T @ forces[0].real, -c.rigid_load, atol=1e-10 * np.abs(c.rigid_load).max()
+    )
+    motion = c.motion(forces, rigid)
+    assert np.abs(motion[:, :6]).max() < 1e-10 * np.abs(c.free_motion).max()
+    assert np.abs(motion[1:]).max() < 1e-10 * np.abs(c.free_motion).max()
+
+
+def test_packing_round_trip():
+    balance = HarmonicBalance(ContactProblem(dovetail(), ContactLaws(static_friction="zero"), 300.0, 3).system)
+    x = np.random.default_rng(2).normal(size=balance.size)
+    np.testing.assert_allclose(balance.pack(*balance.unpack(x)), x, rtol=1e-14)
+    forces, _ = balance.unpack(x)
+    assert np.all(forces[0, 6:] == 0.0) and np.all(forces[0, :6] != 0.0)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e-3, 1e6])
+def test_scaled_unknowns_know_no_unit_of_force(factor):
+    """Loads times c: the same scaled unknowns, residual and Jacobian, so the same steps to the same tolerance."""
+    model = dovetail()
+    scaled = replace(model, load={h: factor * f for h, f in model.load.items()})
+    one, other = (HarmonicBalance(ContactProblem(m, ContactLaws(), 300.0, 3).system) for m in (model, scaled))
+    x = one.pack(*one.full_stick) + 0.1 * np.random.default_rng(4).normal(size=one.size)
+    np.testing.assert_allclose(other.residual(x), one.residual(x), atol=1e-12)
+    np.testing.assert_allclose(other.linearise(x).matrix(), one.linearise(x).matrix(), atol=1e-12)
+
+
+def test_redundant_pairs_stay_solvable():
+    """The same pair twice: forces are not unique, but the Newton step exists and solves the linearised balance."""
+    model = lift_off_oscillator()
+    twice = replace(
+        model,
+        normal=np.repeat(model.normal, 2, axis=0),
+        tangential=np.repeat(model.tangential, 2, axis=0),
+        pair_area=None,
+    )
+    balance = HarmonicBalance(ContactProblem(twice, ContactLaws(), 0.1, 3).system)
+    x = balance.pack(*balance.full_stick)
+    step = balance.linearise(x)
+    direction = step.solve(-step.residual + 1e-3)
+    assert np.all(np.isfinite(direction))
+    np.testing.assert_allclose(step.multiply(direction), -step.residual + 1e-3, atol=1e-6)

@@ -1,0 +1,190 @@
+"""Dynamic compliance against plain linear algebra on all coordinates, and the statics of floating bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import bar_against_wall, dovetail, random_structure, transform_coordinates
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.compliance import condense, scale_rigid_modes, solve_static
+from ewr_fenicsx.errors import ModelError
+
+ORDERS = (0, 1, 2, 5)
+INVERSES = ("inertia relief", "pinned")
+
+
+def respond_by_brute_force(model: ReducedModel, omega: float, force: np.ndarray) -> np.ndarray:
+    """Coordinates under a harmonic force: the real 2n x 2n system of cosine and sine parts, no complex numbers."""
+    dynamic, viscous = model.stiffness - omega**2 * model.mass, omega * model.damping
+    both = np.linalg.solve(
+        np.block([[dynamic, -viscous], [viscous, dynamic]]), np.concatenate([force.real, force.imag])
+    )
+    return both[: model.size] + 1j * both[model.size :]
+
+
+def with_damping(model: ReducedModel, kind: str) -> ReducedModel:
+    if kind == "none":
+        return replace(model, damping=np.zeros_like(model.damping))
+    if kind == "proportional":
+        return replace(model, damping=0.02 * model.stiffness + 0.1 * model.mass)
+    dashpot = np.zeros(model.size)
+    dashpot[:2] = 1.0, -0.5
+    return replace(model, damping=np.outer(dashpot, dashpot))
+
+
+def with_loads(model: ReducedModel, seed: int = 5) -> ReducedModel:
+    rng = np.random.default_rng(seed)
+    loads = {h: rng.normal(size=model.size) + 1j * (h > 0) * rng.normal(size=model.size) for h in (0, 1, 5)}
+    return replace(model, load=loads)
+
+
+@pytest.mark.parametrize("kind", ["none", "proportional", "dashpot"])
+@pytest.mark.parametrize("orders", [ORDERS, (1, 3), (0,)])
+def test_compliance_is_the_response_to_unit_forces(kind, orders):
+    model = with_damping(with_loads(random_structure()), kind)
+    rows = np.vstack([model.normal, model.tangential])
+    found = condense(model, rows, model.load, 0.83, orders)
+    assert found.flexibility.shape == (len(orders), 6, 6)
+    for j, h in enumerate(orders):
+        for k in range(6):
+            x = respond_by_brute_force(model, h * 0.83, rows[k])
+            np.testing.assert_allclose(found.flexibility[j, :, k], rows @ x, rtol=1e-10, atol=1e-11)
+        x = respond_by_brute_force(model, h * 0.83, model.load.get(h, np.zeros(9)))
+        np.testing.assert_allclose(found.free_motion[j], rows @ x, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["none", "proportional", "dashpot"])
+def test_motion_and_outputs_follow_the_forces(kind):
+    rng = np.random.default_rng(6)
+    model = with_damping(with_loads(random_structure()), kind)
+    forces = rng.normal(size=(4, 3)) + 1j * rng.normal(size=(4, 3))
+    forces[0] = forces[0].real
+    compliance = condense(model, model.normal, model.load, 0.83, ORDERS)
+    for j, h in enumerate(ORDERS):
+        x = respond_by_brute_force(model, h * 0.83, model.normal.T @ forces[j] + model.load.get(h, 0))
+        np.testing.assert_allclose(compliance.motion(forces, np.zeros(0))[j], model.normal @ x, rtol=1e-10)
+        assert compliance.output("tip", forces, np.zeros(0))[j] == pytest.approx(model.outputs["tip"] @ x, rel=1e-10)
+
+
+def test_weak_coupling_by_damping_is_not_dropped():
+    """A dashpot between two slow modes counts, even beside a stiff mode that is damped a billion times more."""
+    model = ReducedModel(
+        mass=np.eye(3),
+        damping=np.diag([1e-3, 1e-3, 1e8]) + 1e-3 * np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]),
+        stiffness=np.diag([1.0, 1.1, 1e12]),
+        normal=[[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]],
+    )
+    found = condense(model, model.normal, {}, 1.0, (1,)).flexibility[0]
+    for k in range(2):
+        x = respond_by_brute_force(model, 1.0, model.normal[k])
+        np.testing.assert_allclose(found[:, k], model.normal @ x, rtol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["none", "proportional", "dashpot"])
+def test_floating_bodies_vibrate_on_their_inertia(kind):
+    model = with_damping(dovetail(), kind)
+    if kind == "proportional":
+        model = replace(model, damping=1e-6 * model.stiffness + 5.0 * model.mass)
+    rows = np.vstack([model.normal, model.tangential])
+    omega = 2 * np.pi * 700.0
+    found = condense(model, rows, model.load, omega, (0, 1, 3))
+    for j, h in ((1, 1), (2, 3)):
+        expected = np.column_stack([rows @ respond_by_brute_force(model, h * omega, row) for row in rows])
+        np.testing.assert_allclose(found.flexibility[j], expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+@pytest.mark.parametrize("kind", ["proportional", "dashpot"])
+def test_static_motion_of_a_floating_body_meets_equilibrium(inverse, kind):
+    """K x = F for balanced forces, and the rows' motion is B x up to a rigid motion."""
+    model = with_damping(dovetail(), kind)
+    rows = np.vstack([model.normal, model.tangential])
+    compliance = condense(model, rows, model.load, 1e3, (0, 1), inverse)
+    free = np.random.default_rng(7).normal(size=12) * 100
+    G, pull = compliance.rigid_motion, compliance.rigid_load
+    forces = np.zeros((2, 12), dtype=complex)
+    forces[0] = free - np.linalg.lstsq(G.T, G.T @ free + pull, rcond=None)[0]  # contact forces that balance the pull
+    applied = rows.T @ forces[0].real + model.load[0].real
+    np.testing.assert_allclose(model.rigid_modes.T @ applied, 0.0, atol=1e-10 * np.abs(applied).max())
+    x = np.linalg.lstsq(model.stiffness, applied, rcond=1e-12)[0]
+    np.testing.assert_allclose(model.stiffness @ x, applied, atol=1e-9 * np.abs(applied).max())
+    motion = compliance.motion(forces, np.zeros(3))[0].real
+    readers = np.vstack([rows, model.outputs["tip"]])
+    found = np.append(motion, compliance.output("tip", forces, np.zeros(3))[0].real)
+    rigid = readers @ model.rigid_modes
+    left = (readers @ x - found) - rigid @ np.linalg.lstsq(rigid, readers @ x - found, rcond=None)[0]
+    assert np.abs(left).max() < 1e-10 * np.abs(readers @ x).max()
+    moved = compliance.motion(forces, np.array([1.0, 2.0, 3.0]))[0].real
+    np.testing.assert_allclose(moved - motion, G @ [1.0, 2.0, 3.0], atol=1e-13)
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+def test_generalised_inverses_solve_balanced_forces(inverse):
+    model = dovetail()
+    rng = np.random.default_rng(8)
+    forces = model.stiffness @ rng.normal(size=(26, 4))  # balanced by construction
+    x = solve_static(model, forces, inverse)
+    np.testing.assert_allclose(model.stiffness @ x, forces, atol=1e-10 * np.abs(forces).max())
+
+
+@pytest.mark.parametrize("frequency, harmonics", [(200.0, 3), (481.0, 5), (0.0, 0)])
+def test_no_result_depends_on_the_generalised_inverse(frequency, harmonics):
+    model = dovetail()
+    if harmonics == 0:
+        model = replace(model, load={0: model.load[0]})
+    laws = ContactLaws(friction=0.3)
+    first, second = (
+        solve(ContactProblem(model, laws, frequency, harmonics, generalised_inverse=inverse), tolerance=1e-11)
+        for inverse in INVERSES
+    )
+    assert first.converged and second.converged
+    np.testing.assert_allclose(first.forces, second.forces, atol=1e-8 * np.abs(first.forces).max())
+    np.testing.assert_allclose(first.output("tip"), second.output("tip"), atol=1e-8 * np.abs(first.output("tip")).max())
+    for name in ("gap", "slip"):
+        a, b = first.history(name, 64), second.history(name, 64)
+        np.testing.assert_allclose(a, b, atol=1e-8 * np.abs(first.history("slip", 64)).max())
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+def test_contact_forces_carry_the_static_pull(inverse):
+    """Resultant of the contact forces on the blade = minus the mean load, to 1e-10 of it."""
+    model = dovetail(pull=1000.0)
+    solution = solve(ContactProblem(model, ContactLaws(friction=0.3), 200.0, 3, generalised_inverse=inverse))
+    normal, friction = solution.pair_forces["normal"][0].real, solution.pair_forces["tangential"][0].real
+    on_blade = (model.normal.T @ normal + model.tangential.T @ friction)[:14]
+    resultant = on_blade[0::2].sum(), on_blade[1::2].sum()
+    np.testing.assert_allclose(resultant, [0.0, -1000.0], atol=1e-7)
+    assert np.all(normal > 0)
+
+
+def test_rigid_modes_are_scaled_to_what_the_rows_see():
+    model = dovetail()
+    rows = np.vstack([model.normal, model.tangential])
+    modes = scale_rigid_modes(transform_coordinates(model, 1e-4 * np.eye(26)).rigid_modes, rows)
+    np.testing.assert_allclose(np.abs(rows @ modes).max(axis=0), 1.0, rtol=1e-12)
+    overlap = (rows @ modes).T @ (rows @ modes)
+    np.testing.assert_allclose(overlap, np.diag(np.diag(overlap)), atol=1e-12)
+
+
+def test_rigid_motions_that_contact_cannot_tell_apart_are_refused():
+    model = dovetail()
+    with pytest.raises(
+        ModelError, match=r"3 rigid motions of floating bodies, but .* tell only 2 of them apart; clamp"
+    ):
+        condense(model, model.normal[:2], {}, 1.0, (0, 1))
+
+
+def test_a_vibration_without_mean_needs_no_equilibrium():
+    model = bar_against_wall(elements=4, mean=0.0, amplitude=1.0)
+    compliance = condense(model, model.normal, {1: model.load[1]}, 1.0, (1, 3))
+    assert compliance.rigid_motion.shape == (1, 0) and compliance.rigid_load.shape == (0,)
+
+
+def test_a_periodic_motion_needs_a_frequency():
+    model = random_structure()
+    with pytest.raises(ModelError, match="angular frequency 0 rad/s; a periodic motion needs a positive one"):
+        condense(model, model.normal, {}, 0.0, (0, 1))
+    assert condense(model, model.normal, {}, 0.0, (0,)).flexibility.shape == (1, 3, 3)

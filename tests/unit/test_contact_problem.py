@@ -1,0 +1,214 @@
+"""What a problem calls for: its unknowns by formula, the laws by group of pairs, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.contact_laws import Bond, Coulomb, Signorini, spread_over_pairs
+from ewr_fenicsx.contact_problem import compose
+from ewr_fenicsx.errors import ModelError
+
+PAIRS, COORDINATES, RIGID, N = 6, 26, 3, 4
+FULL = 2 * N + 1  # real coefficients a row
+LAWS = [
+    # normal, tangential, static friction, normal unknowns a pair, tangential unknowns a pair, coordinates held
+    ("unilateral", "coulomb", "resolved", FULL, FULL, 0),
+    ("unilateral", "coulomb", "zero", FULL, FULL - 1, 0),
+    ("unilateral", "frictionless", "resolved", FULL, 0, 0),
+    ("unilateral", "bonded", "resolved", FULL, 0, PAIRS),
+    ("bonded", "coulomb", "resolved", FULL, FULL, 0),
+    ("bonded", "coulomb", "zero", FULL, FULL - 1, 0),
+    ("bonded", "frictionless", "resolved", 0, 0, PAIRS),
+    ("bonded", "bonded", "resolved", 0, 0, 2 * PAIRS),
+    ("prescribed", "coulomb", "resolved", 0, FULL, 0),
+    ("prescribed", "coulomb", "zero", 0, FULL - 1, 0),
+    ("prescribed", "frictionless", "resolved", 0, 0, 0),
+    ("prescribed", "bonded", "resolved", 0, 0, PAIRS),
+]
+
+
+def lay_down(normal: str, tangential: str, static_friction: str = "resolved", **other) -> ContactLaws:
+    force = 200.0 if normal == "prescribed" else None
+    return ContactLaws(normal, tangential, normal_force=force, static_friction=static_friction, **other)
+
+
+@pytest.mark.parametrize("normal, tangential, static, per_normal, per_tangential, held", LAWS)
+def test_a_combination_has_only_the_unknowns_that_it_needs(
+    normal, tangential, static, per_normal, per_tangential, held
+):
+    """On a grounded structure: no rigid motion counts beside the forces."""
+    model = random_structure(size=20, pairs=PAIRS)
+    system = compose(ContactProblem(model, lay_down(normal, tangential, static), 0.1, N))
+    assert system.model.size == 20 - held and system.expansion.shape == (20, 20 - held)
+    rows = PAIRS * ((per_normal > 0) + (per_tangential > 0))
+    assert system.rows.shape == (rows, system.model.size)
+    if rows:
+        assert HarmonicBalance(system).size == PAIRS * (per_normal + per_tangential)
+    assert solve(ContactProblem(model, lay_down(normal, tangential, static), 0.1, N)).unknowns == PAIRS * (
+        per_normal + per_tangential
+    )
+
+
+@pytest.mark.parametrize(
+    "normal, tangential, rigid", [("unilateral", "coulomb", 3), ("unilateral", "bonded", 0), ("bonded", "coulomb", 3)]
+)
+def test_floating_bodies_add_their_rigid_motions_unless_bonds_hold_them(normal, tangential, rigid):
+    problem = ContactProblem(dovetail(), lay_down(normal, tangential), 200.0, N)
+    balance = HarmonicBalance(problem.system)
+    rows = problem.system.rows.shape[0]
+    assert balance.size == rows * FULL + rigid
+    assert (
+        HarmonicBalance(replace(problem, harmonics=(1, 3), model=replace(problem.model, load={})).system).size
+        == rows * 4
+    )
+
+
+@pytest.mark.parametrize("harmonics, coefficients", [(0, 1), (5, 11), ((1, 3, 5), 6), ((0, 2, 5), 5)])
+def test_unknowns_by_harmonics(harmonics, coefficients):
+    problem = ContactProblem(random_structure(), ContactLaws(), 0.1, harmonics)
+    assert HarmonicBalance(problem.system).size == 6 * coefficients
+
+
+def test_groups_of_pairs_have_their_own_laws():
+    model = dovetail()
+    groups = [
+        ([0, 3], ContactLaws(friction=0.1, initial_gap=[1e-6, 2e-6])),
+        ([1], ContactLaws("bonded", "bonded")),
+        ([5, 2], ContactLaws("unilateral", "frictionless")),
+        ([4], ContactLaws("bonded", "coulomb", friction=0.7)),
+    ]
+    system = ContactProblem(model, groups, 200.0, 2).system
+    np.testing.assert_array_equal(system.index["normal"], [0, -1, 1, 2, 3, 4])
+    np.testing.assert_array_equal(system.index["tangential"], [5, -1, -1, 6, 7, -1])
+    np.testing.assert_allclose(
+        system.rows @ np.linalg.pinv(system.expansion), _projected(model, system)[[0, 2, 3, 4, 5, 6, 9, 10]]
+    )
+    assert system.model.size == 24
+    np.testing.assert_allclose(np.vstack([model.normal[1], model.tangential[1]]) @ system.expansion, 0.0, atol=1e-14)
+    kinds = [(type(law), law.pairs.tolist()) for law in system.laws]
+    assert kinds == [(Signorini, [0, 3]), (Coulomb, [0, 3]), (Signorini, [5, 2]), (Bond, [4]), (Coulomb, [4])]
+    np.testing.assert_array_equal(system.laws[0].initial_gap, [1e-6, 2e-6])
+    np.testing.assert_array_equal(system.laws[4].friction, [0.7])
+
+
+def _projected(model, system):
+    """All contact rows on the motions that the bonds leave, back in the model's own coordinates."""
+    return np.vstack([model.normal, model.tangential]) @ system.expansion @ np.linalg.pinv(system.expansion)
+
+
+def test_weights_follow_each_rows_own_flexibility():
+    model = random_structure()
+    problem = ContactProblem(model, ContactLaws(), 0.25, 3)
+    flexibility = np.array(
+        [row @ np.linalg.solve(model.stiffness, row) for row in np.vstack([model.normal, model.tangential])]
+    )
+    np.testing.assert_allclose(problem.system.flexibility, flexibility, rtol=1e-11)
+    signorini, coulomb = problem.system.laws
+    scale_n, scale_t = signorini.rho * flexibility[:3], coulomb.rho / (problem.omega * flexibility[3:])
+    np.testing.assert_allclose(scale_n, scale_n[0])  # a number of the package's choice, the same for all
+    np.testing.assert_allclose(scale_t, scale_t[0])
+    given = replace(problem, rho_normal=7.0, rho_tangential=[1.0, 2.0, 3.0]).system.laws
+    np.testing.assert_array_equal(given[0].rho, [7.0, 7.0, 7.0])
+    np.testing.assert_array_equal(given[1].rho, [1.0, 2.0, 3.0])
+
+
+def test_prescribed_forces_load_the_structure_where_it_has_normal_rows():
+    model = replace(random_structure(), load={1: np.arange(9.0)})
+    force = {0: 5.0, 1: np.array([1j, 2.0, 0.0])}
+    system = ContactProblem(model, ContactLaws("prescribed", "coulomb", normal_force=force), 0.1, 2).system
+    np.testing.assert_allclose(system.load[0], model.normal.T @ [5.0, 5.0, 5.0])
+    np.testing.assert_allclose(system.load[1], np.arange(9.0) + model.normal.T @ [1j, 2.0, 0.0])
+    assert 0 not in model.load and np.all(model.load[1] == np.arange(9.0))
+
+
+@pytest.mark.parametrize(
+    "value, expected", [(2.0, [2.0, 2.0]), ([3.0, 4.0], [3.0, 4.0]), ([1, 2, 3, 4, 5], [5.0, 2.0])]
+)
+def test_values_may_be_one_one_a_group_or_one_a_model(value, expected):
+    np.testing.assert_array_equal(spread_over_pairs(value, np.array([4, 1]), 5), expected)
+
+
+def test_other_counts_of_values_are_refused():
+    with pytest.raises(ModelError, match="3 values for 2 pairs; give one, or one a pair"):
+        spread_over_pairs([1.0, 2.0, 3.0], np.array([4, 1]), 5)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"normal": "unilatral"}, 'normal = "unilatral"; choose one of .*; did you mean "unilateral"'),
+        ({"tangential": "sticky"}, 'tangential = "sticky"; choose one of "coulomb", "frictionless", "bonded"'),
+        ({"static_friction": "nought"}, 'static_friction = "nought"'),
+        ({"friction": -0.1}, "friction = -0.1; it must be finite and not negative"),
+        ({"friction": np.nan}, "friction = nan; it must be finite"),
+        ({"initial_gap": [0.0, -1e-6]}, "initial_gap = .*; it must be finite and not negative"),
+        ({"normal": "prescribed"}, "give both or neither"),
+        ({"normal_force": 1.0}, "give both or neither"),
+    ],
+)
+def test_laws_that_make_no_sense_are_refused(arguments, message):
+    with pytest.raises(ModelError, match=message):
+        ContactLaws(**arguments)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"frequency": -1.0}, "frequency = -1.0 Hz; give a positive one"),
+        ({"frequency": np.nan}, "frequency = nan Hz"),
+        ({"rho_normal": 0.0}, "rho_normal = 0.0; it must be positive"),
+        ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
+        ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),
+        ({"harmonics": (1, 3)}, r"loaded at harmonics \[0\], the problem keeps only \(1, 3\)"),
+        ({"samples": 10}, "samples = 10 cannot resolve harmonic 5; give at least 11"),
+    ],
+)
+def test_problems_that_make_no_sense_are_refused(changes, message):
+    arguments = {"model": lift_off_oscillator(), "laws": ContactLaws(), "frequency": 0.1} | changes
+    with pytest.raises(ModelError, match=message):
+        ContactProblem(**arguments)
+
+
+@pytest.mark.parametrize(
+    "model, laws, message",
+    [
+        (friction_oscillator(), ContactLaws(), "needs normal contact rows"),
+        (random_structure(tangents=0), ContactLaws(), "needs tangential contact rows"),
+        (random_structure(tangents=2), ContactLaws(), "friction along one line; this model has two tangents a pair"),
+        (
+            random_structure(),
+            ContactLaws("prescribed", normal_force={0: 1.0, 9: 1.0}),
+            "has a harmonic 9; add it to harmonics",
+        ),
+        (random_structure(), ContactLaws(friction=[0.1, 0.2]), "2 values for 3 pairs"),
+        (random_structure(), [([0, 1], ContactLaws())], r"cover each of the 3 pairs once; they cover \[0, 1\]"),
+        (random_structure(), [([0, 1, 2, 2], ContactLaws())], r"they cover \[0, 1, 2, 2\]"),
+    ],
+)
+def test_laws_that_do_not_fit_the_model_are_refused(model, laws, message):
+    with pytest.raises(ModelError, match=message):
+        ContactProblem(model, laws, 0.1).system  # noqa: B018
+
+
+def test_a_pair_that_nothing_can_move_is_named():
+    model = random_structure()
+    clamped = replace(model, normal=model.normal * [[1.0], [0.0], [1.0]])
+    with pytest.raises(
+        ModelError, match="contact row 1 moves with no coordinate: its pair is clamped or bonded already"
+    ):
+        ContactProblem(clamped, ContactLaws(), 0.1).system  # noqa: B018
+
+
+@pytest.mark.parametrize("tangential", ["frictionless", "bonded"])
+def test_bodies_in_space_may_slide_freely_or_not_at_all(tangential):
+    model = replace(random_structure(size=16, pairs=3, tangents=2), load={1: np.ones(16)})
+    system = ContactProblem(model, ContactLaws(tangential=tangential), 0.1, 2).system
+    assert system.model.size == (16 if tangential == "frictionless" else 10)
+    if tangential == "bonded":
+        np.testing.assert_allclose(model.tangential @ system.expansion, 0.0, atol=1e-14)

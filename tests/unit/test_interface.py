@@ -1,0 +1,170 @@
+"""Pairs, frames, areas and the signs of gap and slip; joints that cannot be paired are refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import dolfinx
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ewr_fenicsx.elasticity import assemble_structure, body_nodes, boundary_facets
+from ewr_fenicsx.materials import TITANIUM
+from ewr_fenicsx.errors import InterfaceError
+from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.mesh import build_mesh
+
+TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
+ANGLE = 25.0
+NORMAL = np.array([np.sin(np.radians(ANGLE)), -np.cos(np.radians(ANGLE))])  # out of the blade, into the disk
+
+
+def assemble(source=TWO_BLOCKS, degree=1, **parameters):
+    mesh = build_mesh(source, parameters, MPI.COMM_WORLD)
+    return assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM), thickness=0.02, degree=degree)
+
+
+def move(structure, **displacement):
+    """Displacement of all degrees of freedom, each named body moved by a constant vector."""
+    u = np.zeros((structure.mass.getSize()[0] // 2, 2))
+    for body, vector in displacement.items():
+        u[body_nodes(structure, body)] = vector
+    return u.ravel()
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def joint(request):
+    structure = assemble(degree=request.param, inclination=ANGLE)
+    return structure, pair_interface(structure)
+
+
+def test_frame_is_the_blades_outward_normal_and_its_left_turn(joint):
+    _, interface = joint
+    np.testing.assert_allclose(interface.normal, np.tile(NORMAL, (len(interface.area), 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        interface.tangent, np.tile((-NORMAL[1], NORMAL[0]), (len(interface.area), 1)), atol=1e-12
+    )
+
+
+def test_pairs_follow_the_tangent_and_join_coincident_nodes_of_two_bodies(joint):
+    structure, interface = joint
+    x = structure.space.tabulate_dof_coordinates()[:, :2]
+    np.testing.assert_allclose(x[interface.nodes_a], interface.position, atol=1e-15)
+    np.testing.assert_allclose(x[interface.nodes_b], interface.position, atol=1e-12)
+    steps = np.einsum("kd,kd->k", np.diff(interface.position, axis=0), interface.tangent[1:])
+    np.testing.assert_allclose(steps, 0.04 / (len(interface.area) - 1), rtol=1e-9)
+    assert np.isin(interface.nodes_a, body_nodes(structure, "blade")).all()
+    assert np.isin(interface.nodes_b, body_nodes(structure, "disk")).all()
+
+
+def test_areas_are_integrals_of_the_shape_functions(joint):
+    """Trapezoidal rule for degree 1, Simpson's for degree 2; both sum to length times thickness."""
+    _, interface = joint
+    total = 0.04 * 0.02
+    weights = {7: [1, 2, 2, 2, 2, 2, 1], 13: [1, 4, 2, 4, 2, 4, 2, 4, 2, 4, 2, 4, 1]}[len(interface.area)]
+    np.testing.assert_allclose(interface.area, total * np.array(weights) / sum(weights), rtol=1e-11)
+    assert interface.area.sum() == pytest.approx(total, rel=1e-13)
+
+
+def test_moving_the_disk_along_the_normal_opens_the_joint(joint):
+    structure, interface = joint
+    u = move(structure, disk=2e-3 * NORMAL)
+    np.testing.assert_allclose(interface.normal_gap @ u, 2e-3, rtol=1e-12)
+    np.testing.assert_allclose(interface.tangential_slip @ u, 0, atol=1e-17)
+    # and the blade into the disk: penetration
+    np.testing.assert_allclose(interface.normal_gap @ move(structure, blade=2e-3 * NORMAL), -2e-3, rtol=1e-12)
+
+
+def test_moving_the_blade_along_the_tangent_slips_forwards(joint):
+    structure, interface = joint
+    u = move(structure, blade=3e-3 * interface.tangent[0])
+    np.testing.assert_allclose(interface.tangential_slip @ u, 3e-3, rtol=1e-12)
+    np.testing.assert_allclose(interface.normal_gap @ u, 0, atol=1e-17)
+
+
+def test_gap_transposed_gives_the_pair_forces_of_the_convention(joint):
+    """On A: -lam_N n + lam_T t, on B the opposite."""
+    _, interface = joint
+    force = (
+        interface.normal_gap.T @ np.full(len(interface.area), 5.0)
+        + interface.tangential_slip.T @ np.full(len(interface.area), 2.0)
+    ).reshape(-1, 2)
+    np.testing.assert_allclose(force[interface.nodes_a], -5 * interface.normal + 2 * interface.tangent, rtol=1e-12)
+    np.testing.assert_allclose(force[interface.nodes_b], 5 * interface.normal - 2 * interface.tangent, rtol=1e-12)
+
+
+def test_rigid_motion_of_everything_leaves_the_joint_at_rest(joint):
+    structure, interface = joint
+    x = structure.space.tabulate_dof_coordinates()[:, :2]
+    u = (np.column_stack([-x[:, 1], x[:, 0]]) + np.array([0.3, -0.1])).ravel()
+    # gmsh places nodes along a curve to a few 1e-12 of its length
+    assert abs(interface.normal_gap @ u).max() < 1e-12 and abs(interface.tangential_slip @ u).max() < 1e-12
+
+
+def test_fir_tree_flanks_press_when_the_blade_is_pulled_out():
+    """Ten pairs a flank; a radial pull closes all of them, and left and right flanks mirror each other."""
+    structure = assemble(FIR_TREE)
+    interface = pair_interface(structure)
+    assert interface.flanks == ("bottom_left", "bottom_right", "top_left", "top_right")
+    np.testing.assert_array_equal(np.bincount(interface.flank_of_pair), 10)
+    assert (interface.normal_gap @ move(structure, blade=(0, 1e-3)) < -0.5e-3).all()
+    area = np.bincount(interface.flank_of_pair, interface.area)
+    for flank, total in enumerate(area):
+        ends = interface.position[interface.flank_of_pair == flank][[0, -1]]
+        assert total == pytest.approx(np.linalg.norm(ends[1] - ends[0]) * 0.02, rel=1e-12)
+    left, right = (interface.position[interface.flank_of_pair == k] for k in (2, 3))
+    np.testing.assert_allclose(left, right[::-1] * (-1, 1), atol=1e-9)
+
+
+def test_unequal_node_counts_are_named():
+    structure = assemble(columns=9, disk_columns=10)
+    with pytest.raises(
+        InterfaceError, match=r'flank "joint": 10 nodes on the blade, 11 on the disk; .*transfinite count'
+    ):
+        pair_interface(structure)
+
+
+def test_nodes_further_apart_than_the_tolerance_are_named():
+    structure = assemble(shift=1e-5)
+    with pytest.raises(InterfaceError, match=r'flank "joint": .* is 1e-05 m away .* allowed are 4e-08 m'):
+        pair_interface(structure)
+    assert len(pair_interface(structure, tolerance=1e-3).area) == 7
+
+
+def test_shared_nodes_are_refused():
+    structure = assemble(welded=True)
+    for flanks in (None, ["joint"]):
+        with pytest.raises(InterfaceError, match='flank "joint": blade and disk share 7 nodes'):
+            pair_interface(structure, flanks)
+
+
+@pytest.mark.parametrize(
+    "choice, words",
+    [
+        ({"flanks": ["jiont"]}, 'no flank named "jiont".*did you mean "joint"'),
+        ({"flanks": ["tip"]}, 'flank "tip": 7 nodes on the blade, 0 on the disk'),
+        ({"body_a": "balde"}, 'no body named "balde".*did you mean "blade"'),
+        ({"body_a": "blade", "body_b": "blade"}, "the same body"),
+    ],
+)
+def test_unknown_names_are_refused(choice, words):
+    with pytest.raises(InterfaceError, match=words):
+        pair_interface(assemble(), **choice)
+
+
+def test_flanks_that_share_a_node_are_refused():
+    """The joint cut in two at its middle node."""
+    structure = assemble()
+    mesh, space = structure.mesh, structure.space
+    facets = boundary_facets(mesh, "joint")
+    x = space.tabulate_dof_coordinates()[:, 0]
+    middle = np.array(
+        [x[dolfinx.fem.locate_dofs_topological(space, 1, np.array([f], dtype=np.int32))].mean() for f in facets]
+    )
+    tags = dolfinx.mesh.meshtags(mesh.domain, 1, facets, np.where(middle < 0.02, 1, 2).astype(np.int32))
+    cut = replace(structure, mesh=replace(mesh, facet_tags=tags, boundaries={"left": 1, "right": 2}))
+    with pytest.raises(InterfaceError, match=r'flanks "left" and "right" share the node at \(0\.02, 0\.03\) m'):
+        pair_interface(cut)

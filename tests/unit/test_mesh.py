@@ -1,0 +1,358 @@
+"""Builders and mesh files become named, checked, distributed meshes; what is wrong is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from ewr_fenicsx.errors import MeshError
+from ewr_fenicsx.mesh import JointMesh, build_mesh, evaluate_scaled_jacobian
+
+GEOMETRY = Path(__file__).parents[2] / "geometry"
+
+# Two unit squares, "a" and "b", side by side and apart, with "wall" on both.
+SQUARES = """
+import gmsh
+
+
+def build(*, cells: int = 4, width: float = 1.0, label: str = "wall", coarse: bool = False) -> None:
+    geo = gmsh.model.geo
+    curves, surfaces = [], []
+    for left in (0.0, 1.5):
+        points = [geo.addPoint(left + x * width, y, 0.0) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        curves.append([geo.addLine(points[k], points[(k + 1) % 4]) for k in range(4)])
+        surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(curves[-1])]))
+        for curve in curves[-1]:
+            geo.mesh.setTransfiniteCurve(curve, cells + 1)
+        geo.mesh.setTransfiniteSurface(surfaces[-1])
+        geo.mesh.setRecombine(2, surfaces[-1])
+    geo.synchronize()
+    groups = [(2, [surfaces[0]], "a"), (2, [surfaces[1]], "b"), (1, [curves[0][1], curves[1][3]], label)]
+    {extra}
+    for dimension, members, name in groups:
+        gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)
+    gmsh.model.mesh.generate(2)
+    {after}
+"""
+
+
+@pytest.fixture
+def squares(tmp_path):
+    """Writes a builder of two squares, with lines of its own, and returns its path."""
+
+    def write(extra: str = "pass", after: str = "pass") -> Path:
+        path = tmp_path / "squares.py"
+        path.write_text(SQUARES.format(extra=textwrap.indent(extra, "    ").strip(),
+                                       after=textwrap.indent(after, "    ").strip()))
+        return path
+
+    return write
+
+
+def gmsh_is_running() -> bool:
+    if hasattr(gmsh, "isInitialized"):
+        return bool(gmsh.isInitialized())
+    try:
+        return bool(gmsh.model.list())
+    except Exception:  # noqa: BLE001  gmsh raises nothing more specific
+        return False
+
+
+def count(mesh: JointMesh) -> dict:
+    """Global numbers of everything, the same on every rank."""
+    topology = mesh.domain.topology
+    total = lambda tags, tag, d: mesh.domain.comm.allreduce(  # noqa: E731
+        int(np.count_nonzero(tags.find(tag) < topology.index_map(d).size_local)))
+    return {
+        "nodes": mesh.domain.geometry.index_map().size_global,
+        "cells": topology.index_map(2).size_global,
+        "bodies": {name: total(mesh.cell_tags, tag, 2) for name, tag in mesh.bodies.items()},
+        "boundaries": {name: total(mesh.facet_tags, tag, 1) for name, tag in mesh.boundaries.items()},
+    }
+
+
+def build(path: Path, **parameters) -> JointMesh:
+    return build_mesh(path, parameters, MPI.COMM_WORLD)
+
+
+def test_default_fir_tree():
+    mesh = build(GEOMETRY / "fir_tree.py")
+    found = count(mesh)
+    assert 2050 <= found["nodes"] <= 2150
+    assert sum(found["bodies"].values()) == found["cells"]
+    assert {name: found["boundaries"][name] for name in ("top_left", "top_right", "bottom_left", "bottom_right")} == \
+        dict.fromkeys(("top_left", "top_right", "bottom_left", "bottom_right"), 2 * 9)
+    assert set(mesh.bodies) == {"blade", "disk"} and {"clamp", "tip"} < set(mesh.boundaries)
+    assert mesh.domain.geometry.dim == 2
+    assert 0.45 < mesh.smallest_scaled_jacobian <= 1.0
+    assert not gmsh_is_running()
+
+
+def test_dovetail_has_the_same_names_but_one_lobe():
+    mesh = build(GEOMETRY / "dovetail.py", pairs=6)
+    assert set(mesh.bodies) == {"blade", "disk"} and set(mesh.boundaries) == {"left", "right", "clamp", "tip"}
+    assert count(mesh)["boundaries"]["left"] == 2 * 5
+
+
+def test_parameters_reach_the_builder(squares):
+    found = count(build(squares(), cells=3, width=0.5, label="side", coarse=True))
+    assert found == {"nodes": 32, "cells": 18, "bodies": {"a": 9, "b": 9}, "boundaries": {"side": 6}}
+    assert count(build(squares(), width=1))["cells"] == 32, "a whole number is a number"
+
+
+def test_mesh_file_gives_the_builder_s_mesh(squares, tmp_path):
+    """Also with node numbers that start late and have gaps, which dolfinx does not accept by itself."""
+    path = tmp_path / "squares.msh"
+    lines = f"gmsh.model.mesh.renumberNodes()\ngmsh.write({str(path)!r})"
+    built = build(squares(after=lines))
+    read = build(path)
+    assert count(read) == count(built)
+    assert read.bodies == built.bodies and read.boundaries == built.boundaries
+    assert read.smallest_scaled_jacobian == pytest.approx(built.smallest_scaled_jacobian, rel=1e-12)
+    gapped = tmp_path / "gapped.msh"
+    gapped.write_text(shift_node_numbers(path.read_text()))
+    assert count(build(gapped)) == count(built)
+
+
+def shift_node_numbers(text: str) -> str:
+    """Rename node k of an ASCII msh 4.1 file to 2 k + 100."""
+    lines, out, k = text.splitlines(), [], 0
+    while k < len(lines):
+        section = lines[k]
+        out.append(section)
+        k += 1
+        if section not in ("$Nodes", "$Elements"):
+            continue
+        blocks, total, low, high = map(int, lines[k].split())
+        out.append(f"{blocks} {total} {2 * low + 100} {2 * high + 100}" if section == "$Nodes" else lines[k])
+        k += 1
+        for _ in range(blocks):
+            out.append(lines[k])
+            size = int(lines[k].split()[3])
+            body = lines[k + 1:k + 1 + size]
+            if section == "$Nodes":
+                out += [str(2 * int(number) + 100) for number in body] + lines[k + 1 + size:k + 1 + 2 * size]
+                k += 1 + 2 * size
+            else:
+                cells = ([int(number) for number in line.split()] for line in body)
+                out += [" ".join(map(str, [cell[0], *(2 * node + 100 for node in cell[1:])])) for cell in cells]
+                k += 1 + size
+    return "\n".join(out) + "\n"
+
+
+TRIANGLES = """
+import gmsh
+
+
+def build() -> None:
+    for left, name in ((0.0, "a"), (1.5, "b")):
+        square = gmsh.model.occ.addRectangle(left, 0.0, 0.0, 1.0, 1.0)
+        gmsh.model.occ.synchronize()
+        gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [square]), name)
+        if name in {recombined}:
+            gmsh.model.mesh.setTransfiniteSurface(square)
+            gmsh.model.mesh.setRecombine(2, square)
+    gmsh.option.setNumber("Mesh.CharacteristicLengthMax", 0.25)
+    gmsh.model.mesh.generate(2)
+"""
+
+
+def test_all_triangles_are_welcome(tmp_path):
+    path = tmp_path / "triangles.py"
+    path.write_text(TRIANGLES.format(recombined=()))
+    mesh = build(path)
+    assert set(mesh.bodies) == {"a", "b"} and not mesh.boundaries
+    assert mesh.domain.topology.cell_name() == "triangle"
+    assert 0.5 < mesh.smallest_scaled_jacobian < 1.0
+
+
+def test_mixed_cell_types_are_refused_before_dolfinx_crashes(tmp_path):
+    path = tmp_path / "mixed.py"
+    path.write_text(TRIANGLES.format(recombined=("b",)))
+    with pytest.raises(MeshError, match=r'mixed\.py: cells of 2 types: .*[Tt]riangle.* in "a".*[Qq]uad.* in "b"'):
+        build(path)
+
+
+@pytest.mark.parametrize("parameters, words", [
+    ({"cels": 3}, r'unknown parameter "cels" = 3; did you mean "cells"\?'),
+    ({"viscosity": 3}, r'unknown parameter "viscosity" = 3; known are cells, width, label, coarse'),
+    ({"cells": 3.5}, "parameter cells = 3.5: expected a whole number"),
+    ({"cells": True}, "parameter cells = True: expected a whole number"),
+    ({"width": "wide"}, "parameter width = 'wide': expected a finite number"),
+    ({"width": float("nan")}, "parameter width = nan: expected a finite number"),
+    ({"label": 7}, "parameter label = 7: expected text"),
+    ({"coarse": 1}, "parameter coarse = 1: expected true or false"),
+])
+def test_wrong_parameters_are_named(squares, parameters, words):
+    with pytest.raises(MeshError, match=words):
+        build(squares(), **parameters)
+
+
+@pytest.mark.parametrize("extra, after, words", [
+    ("groups = groups[2:]", "pass", "no named body; give each body a physical group of dimension 2"),
+    ("groups[1] = (2, [surfaces[1]], '')", "pass", "physical group 2 of dimension 2 has no name of its own"),
+    ("groups[2] = (1, [curves[0][1]], '')", "pass", "physical group 3 of dimension 1 has no name of its own"),
+    ("groups[1] = (2, [surfaces[1]], 'a')", "pass",  # gmsh 4.8 keeps the first of two equal names, others keep both
+     'two physical groups of dimension 2 are called "a", 1 and 2|group 2 of dimension 2 has no name of its own'),
+    ("groups.pop(1)", "pass", r"16 cells of entity 2 belong to no body \(a\)"),
+    ("groups[1] = (2, surfaces, 'b')", "pass", 'entity 1 of dimension 2 is in "a" and in "b"'),
+    ("groups.append((1, [curves[0][1]], 'edge'))", "pass", 'entity 2 of dimension 1 is in "wall" and in "edge"'),
+    ("pass", "gmsh.model.mesh.clear([(2, 2)])", 'body "b" has no cells in entity 2'),
+    ("pass", "gmsh.model.mesh.clear()", "the model has no mesh of surfaces"),
+    ("pass", "gmsh.model.mesh.setNode(gmsh.model.mesh.getNodes(2, 1)[0][0], [0.9, 0.9, 0.0], [])",
+     r'body "a" has a quadrilateral with a scaled Jacobian of -0\.\d+ at \(0\.\d+, 0\.\d+\); expected more than 0'),
+    ("pass", "gmsh.model.mesh.setNode(gmsh.model.mesh.getNodes(2, 1)[0][0], [0.3, 0.3, 0.1], [])",
+     "z runs from 0.0 to 0.1"),
+    ("points = [geo.addPoint(5.0, y, 0.0) for y in (0.0, 1.0)]\ngroups.append((1, [geo.addLine(*points)], 'loose'))\n"
+     "geo.synchronize()", "pass", r'boundary "loose": (\d+) of \1 facets of entity \d+ belong to no cell'),
+    ("raise ValueError('width = -1: expected a positive number')", "pass", r"squares\.py: width = -1: expected a pos"),
+    ("nonsense", "pass", r"squares\.py: NameError: name 'nonsense' is not defined"),
+    ("gmsh.model.getEntitiesForPhysicalGroup(2, 99)", "pass", r"squares\.py: Exception: "),
+])
+def test_meshes_that_make_no_sense_are_refused(squares, extra, after, words):
+    with pytest.raises(MeshError, match=words):
+        build(squares(extra, after))
+    assert not gmsh_is_running(), "gmsh is stopped also after an error"
+
+
+@pytest.mark.parametrize("name, content, words", [
+    ("absent.py", None, r"absent\.py: no such file"),
+    ("absent.msh", None, r"absent\.msh: no such file"),
+    ("blade.step", "", r'geometry ends in ".step"; expected a builder \(.py\) or a gmsh mesh \(.msh\)'),
+    ("empty.py", "", r"empty\.py: no function `build`"),
+    ("broken.py", "def build(:", r"broken\.py: SyntaxError"),
+    ("demanding.py", "def build(*, size: float):\n    pass", r"demanding\.py: parameter size has no default"),
+    ("rubbish.msh", "rubbish\n", r"rubbish\.msh: "),
+    ("idle.py", "def build():\n    pass", r"idle\.py: the model has no mesh of surfaces"),
+])
+def test_sources_that_cannot_be_read(tmp_path, name, content, words):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(MeshError, match=words):
+        build(tmp_path / name)
+    assert not gmsh_is_running()
+
+
+def test_mesh_file_takes_no_parameters(squares, tmp_path):
+    path = tmp_path / "squares.msh"
+    build(squares(after=f"gmsh.write({str(path)!r})"))
+    with pytest.raises(MeshError, match="a mesh file takes no parameters, got cells"):
+        build(path, cells=3)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_running_gmsh_keeps_its_models_and_options(squares, fails):
+    gmsh.initialize(["", "-nopopup"], False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 1)
+        gmsh.model.add("mine")
+        gmsh.model.geo.addPoint(1.0, 2.0, 3.0, tag=17)
+        gmsh.model.geo.synchronize()
+        models = gmsh.model.list()
+        if fails:
+            with pytest.raises(MeshError):
+                build(squares(), unknown=1)
+        else:
+            assert count(build(squares()))["cells"] == 32
+        assert gmsh_is_running()
+        assert gmsh.model.list() == models and gmsh.model.getCurrent() == "mine"
+        assert gmsh.model.getEntities(0) == [(0, 17)]
+        assert gmsh.option.getNumber("General.Terminal") == 1
+        gmsh.option.setNumber("General.Terminal", 0)  # a stopped gmsh 4.8 would go on printing
+    finally:
+        gmsh.finalize()
+
+
+def test_gmsh_is_quiet():
+    """In a process of its own, from its first start, and when started again; what MPI says at import is not ours."""
+    program = ("import sys; from pathlib import Path; from mpi4py import MPI; from ewr_fenicsx.mesh import build_mesh\n"
+               "for stream in (sys.stdout, sys.stderr): print('IMPORTED', file=stream, flush=True)\n"
+               f"for _ in range(2): build_mesh(Path({str(GEOMETRY / 'fir_tree.py')!r}), {{}}, MPI.COMM_WORLD)")
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert [text.partition("IMPORTED\n")[2] for text in (run.stdout, run.stderr)] == ["", ""]
+    assert "IMPORTED" in run.stdout and "IMPORTED" in run.stderr
+
+
+COUNT = """
+import json, sys
+from pathlib import Path
+from mpi4py import MPI
+sys.path.insert(0, {here!r})
+from test_mesh import count
+from ewr_fenicsx.mesh import build_mesh
+mesh = build_mesh(Path({source!r}), {parameters!r}, MPI.COMM_WORLD)
+found = MPI.COMM_WORLD.gather([count(mesh), dict(mesh.bodies), dict(mesh.boundaries), mesh.smallest_scaled_jacobian])
+if found:
+    assert all(one == found[0] for one in found), found
+    print("FOUND", json.dumps(found[0]))
+"""
+
+
+@pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py"])
+def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
+    script = tmp_path / "count.py"
+    script.write_text(COUNT.format(here=str(Path(__file__).parent), source=str(GEOMETRY / name), parameters={}))
+    run = mpirun(2, "python", "-m", "mpi4py", script)
+    assert run.returncode == 0, run.stderr
+    (line,) = [line for line in run.stdout.splitlines() if line.startswith("FOUND")]
+    mesh = build(GEOMETRY / name)
+    assert json.loads(line.removeprefix("FOUND")) == [
+        count(mesh), mesh.bodies, mesh.boundaries, mesh.smallest_scaled_jacobian]
+
+
+def test_an_error_on_rank_0_is_raised_on_both(mpirun, tmp_path):
+    script = tmp_path / "fail.py"
+    script.write_text(textwrap.dedent(f"""
+        from pathlib import Path
+        from mpi4py import MPI
+        from ewr_fenicsx.errors import MeshError
+        from ewr_fenicsx.mesh import build_mesh
+        try:
+            build_mesh(Path({str(GEOMETRY / "fir_tree.py")!r}), {{"lobe": 2}}, MPI.COMM_WORLD)
+        except MeshError as error:
+            print("RANK", MPI.COMM_WORLD.rank, error, flush=True)
+    """))
+    run = mpirun(2, "python", script, timeout=60.0)
+    assert run.returncode == 0, run.stderr
+    for rank in (0, 1):
+        (line,) = [line for line in run.stdout.splitlines() if line.startswith(f"RANK {rank}")]
+        assert line.endswith('unknown parameter "lobe" = 2; did you mean "lobes"?')
+
+
+def transform(corners, angle: float = 0.3, size: float = 7.0) -> np.ndarray:
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (size * np.asarray(corners, dtype=float) @ turn.T + [3.0, -2.0])[None]
+
+
+@pytest.mark.parametrize("corners, expected", [
+    ([(0, 0), (1, 0), (1, 1), (0, 1)], 1.0),
+    ([(0, 0), (5, 0), (5, 1), (0, 1)], 1.0),
+    ([(0, 1), (1, 1), (1, 0), (0, 0)], 1.0),  # numbered clockwise: as good
+    ([(0, 0), (1, 0), (1 + 0.5, 3**0.5 / 2), (0.5, 3**0.5 / 2)], 3**0.5 / 2),  # rhombus of 60 degrees
+    ([(0, 0), (1, 0), (0.5, 0.5), (0, 1)], 0.0),  # a corner of 180 degrees
+    ([(0, 0), (1, 0), (0.25, 0.25), (0, 1)], -0.8),  # a dart: a corner of 180 + 53 degrees
+    ([(0, 0), (1, 1), (1, 0), (0, 1)], -(0.5**0.5)),  # crossed
+    ([(0, 0), (0, 0), (1, 1), (0, 1)], 0.0),  # two corners in one
+])
+def test_scaled_jacobian_of_known_quadrilaterals(corners, expected):
+    assert evaluate_scaled_jacobian(transform(corners), "quadrilateral")[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_scaled_jacobian_of_ideal_cells_is_one():
+    triangle = [(0, 0), (1, 0), (0.5, 3**0.5 / 2)]
+    assert evaluate_scaled_jacobian(transform(triangle), "triangle")[0] == pytest.approx(1.0)
+    right = [(0, 0), (1, 0), (0, 1)]
+    assert evaluate_scaled_jacobian(transform(right), "triangle")[0] == pytest.approx(0.5**0.5 / (3**0.5 / 2))
+    tetrahedron = np.array([[(1, 1, 1), (-1, 1, -1), (1, -1, -1), (-1, -1, 1)]], dtype=float)
+    assert evaluate_scaled_jacobian(tetrahedron, "tetrahedron")[0] == pytest.approx(1.0)
+    hexahedron = np.array([[(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]],
+                          dtype=float)
+    assert evaluate_scaled_jacobian(hexahedron, "hexahedron")[0] == pytest.approx(1.0)

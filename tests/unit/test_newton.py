@@ -1,0 +1,339 @@
+"""Newton's method through PETSc: the same steps by either linear solver and in any units, its options, its failures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from petsc4py import PETSc
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import NotConverged, UnheldBody
+from ewr_fenicsx.newton import prolong, run_newton
+
+PROBLEMS = {
+    "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
+    "floating, mean zero": ContactProblem(dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 200.0, 3),
+    "lift-off": ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9),
+    "stuck": ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(friction=0.6), 0.1, 3),
+    "prescribed": ContactProblem(
+        friction_oscillator(damping=0.05),
+        ContactLaws("prescribed", normal_force={0: 0.4, 1: 0.1j}, friction=1.0),
+        0.1,
+        7,
+    ),
+}
+
+
+@pytest.fixture
+def petsc_options():
+    """Options under the package's prefix, gone after the test."""
+    options, touched = PETSc.Options("ewr_"), {}
+
+    def put(**values) -> None:
+        for name, value in values.items():
+            touched.setdefault(name, options.getString(name) if options.hasName(name) else None)
+            options[name] = value
+
+    yield put
+    for name, value in touched.items():
+        options.delValue(name)
+        if value is not None:
+            options[name] = value
+
+
+def record_steps(problem: ContactProblem, **arguments) -> tuple:
+    """The solution, and the unknowns at which each Newton step was taken."""
+    visited = []
+    original = HarmonicBalance.linearise
+
+    def spy(self, unknowns):
+        visited.append(unknowns.copy())
+        return original(self, unknowns)
+
+    HarmonicBalance.linearise = spy
+    try:
+        return solve(problem, tolerance=1e-10, **arguments), visited
+    finally:
+        HarmonicBalance.linearise = original
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_both_linear_solvers_take_the_same_steps(name):
+    first, eliminated = record_steps(PROBLEMS[name], linear_solver="elimination")
+    second, dense = record_steps(PROBLEMS[name], linear_solver="dense")
+    assert first.iterations == second.iterations
+    assert len(eliminated) == len(dense) and (len(dense) > 1 or name == "stuck")
+    for a, b in zip(eliminated, dense, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-8 * np.abs(b).max())
+    np.testing.assert_allclose(first.forces, second.forces, atol=1e-9 * np.abs(second.forces).max())
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_petsc_may_solve_the_linear_systems_its_own_way(name, petsc_options):
+    plain = solve(PROBLEMS[name], tolerance=1e-10)
+    petsc_options(pc_type="lu")
+    lu = solve(PROBLEMS[name], tolerance=1e-10)
+    petsc_options(pc_type="none", ksp_type="gmres", ksp_rtol=1e-13, ksp_gmres_restart=200, ksp_max_it=2000)
+    krylov = solve(PROBLEMS[name], tolerance=1e-10)
+    for other in (lu, krylov):
+        assert other.iterations == plain.iterations
+        np.testing.assert_allclose(other.forces, plain.forces, atol=1e-7 * np.abs(plain.forces).max())
+
+
+def test_solutions_meet_the_tolerance_asked_for():
+    for tolerance in (1e-6, 1e-8, 1e-12):
+        solution = solve(PROBLEMS["floating, slip"], tolerance=tolerance)
+        balance = HarmonicBalance(solution.problem.system)
+        found = np.linalg.norm(balance.residual(balance.pack(solution.forces, solution.rigid)))
+        assert (
+            solution.converged and found <= tolerance and solution.residual == pytest.approx(found, rel=1e-3, abs=1e-15)
+        )
+
+
+def test_the_number_of_steps_is_petscs_to_limit(petsc_options):
+    """Of each Newton run: too few send the solver to its fallbacks, or leave it without a solution."""
+    problem = PROBLEMS["floating, slip"]
+    plain = solve(problem)
+    assert plain.iterations > 3 and plain.fallbacks == ()
+    petsc_options(snes_max_it=2)
+    limited = solve(problem, raise_on_failure=False)
+    assert limited.fallbacks or not limited.converged
+
+
+def test_convergence_is_the_residual_at_the_end_and_nothing_else():
+    balance = HarmonicBalance(PROBLEMS["floating, slip"].system)
+    start = balance.pack(*balance.full_stick)
+    residual = np.linalg.norm(balance.residual(start))
+    for tolerance, converged in ((residual * 1.01, True), (residual * 0.99, False)):
+        attempt = run_newton(balance, start, tolerance, "elimination", 0)
+        assert attempt.converged == converged and attempt.residual == pytest.approx(residual, rel=1e-12)
+        np.testing.assert_array_equal(attempt.unknowns, start)
+
+
+def test_monitors_work_under_the_prefix(petsc_options, capfd):
+    petsc_options(snes_monitor="")
+    solve(PROBLEMS["lift-off"])
+    printed = capfd.readouterr().out
+    assert "SNES Function norm" in printed
+
+
+def test_failure_is_an_error_that_carries_the_best_iterate():
+    """A tolerance below rounding cannot be met: what was found up to there comes with the error."""
+    problem = PROBLEMS["floating, slip"]
+    with pytest.raises(
+        NotConverged, match=r"no periodic solution at 481 Hz: .*; residual .* after \d+ Newton steps.*ried"
+    ) as caught:
+        solve(problem, tolerance=1e-300)
+    best = caught.value.best
+    assert caught.value.exit_code == 3
+    assert not best.converged and 0 < best.residual < 1e-10
+    assert best.forces.shape == (6, 12) and best.history("gap", 16).shape == (16, 6)
+    balance = HarmonicBalance(best.problem.system)
+    found = np.linalg.norm(balance.residual(balance.pack(best.forces, best.rigid)))
+    assert best.residual == pytest.approx(found, rel=1e-6, abs=1e-15)
+    returned = solve(problem, tolerance=1e-300, raise_on_failure=False)
+    assert not returned.converged
+    np.testing.assert_array_equal(returned.forces, best.forces)
+
+
+def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options):
+    """A start next to the solution is kept, though the attempts after it, from full stick, get nowhere."""
+    problem = PROBLEMS["floating, slip"]
+    near = solve(problem, tolerance=1e-6)
+    petsc_options(snes_max_it=0)
+    lost = solve(problem, start=near, tolerance=1e-30, raise_on_failure=False)
+    assert not lost.converged and lost.residual < 1e-6
+
+
+@pytest.mark.parametrize(
+    "model",
+    [dovetail(pull=0.0, excitation=0.0), lift_off_oscillator(preload=0.0, excitation=0.0)],
+    ids=["dovetail", "lift-off"],
+)
+def test_no_load_no_force(model):
+    solution = solve(ContactProblem(model, ContactLaws(), 100.0, 3))
+    assert solution.converged and np.all(solution.forces == 0.0) and np.all(solution.history("slip", 16) == 0.0)
+    assert all(np.isfinite(value) for value in solution.merit.values())
+
+
+def test_a_linear_problem_needs_no_newton():
+    for laws in (ContactLaws("bonded", "bonded"), ContactLaws("bonded", "frictionless")):
+        solution = solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 3))
+        assert (solution.converged, solution.iterations, solution.unknowns, solution.residual) == (True, 0, 0, 0.0)
+
+
+def test_a_stuck_joint_takes_one_step_at_most():
+    assert solve(PROBLEMS["stuck"]).iterations <= 1
+
+
+def test_a_solution_is_a_start_for_itself():
+    for problem in PROBLEMS.values():
+        solution = solve(problem, tolerance=1e-10)
+        again = solve(problem, start=solution, tolerance=1e-9)
+        assert again.iterations == 0 and again.fallbacks == ()
+        np.testing.assert_allclose(again.forces, solution.forces, atol=1e-12 * np.abs(solution.forces).max())
+
+
+def test_a_start_from_a_neighbour_saves_steps_and_finds_the_same():
+    problem = PROBLEMS["floating, slip"]
+    near = solve(replace(problem, frequency=problem.frequency * 1.005))
+    cold, warm = solve(problem, tolerance=1e-10), solve(problem, start=near, tolerance=1e-10)
+    assert warm.iterations < cold.iterations
+    np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-6 * np.abs(cold.forces).max())
+
+
+@pytest.mark.parametrize("harmonics", [3, 9, (0, 1, 4)])
+def test_a_start_is_prolonged_or_cut(harmonics):
+    solution = solve(PROBLEMS["lift-off"])
+    problem = replace(solution.problem, harmonics=harmonics)
+    balance = HarmonicBalance(problem.system)
+    forces, _ = balance.unpack(prolong(solution, balance))
+    for j, h in enumerate(problem.basis.orders):
+        np.testing.assert_allclose(forces[j], solution.forces[h] if h < 10 else 0.0, atol=1e-14)
+    assert solve(problem, start=solution).converged
+
+
+def test_a_start_may_have_other_laws():
+    """From friction to none and back: forces that the new laws know are kept."""
+    with_friction = solve(PROBLEMS["floating, slip"])
+    without = replace(with_friction.problem, laws=ContactLaws("bonded", "coulomb", friction=0.4))
+    assert solve(without, start=with_friction).converged
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("excitation", [1.6, 4.0])
+@pytest.mark.parametrize("frequency", [0.1, 0.16, 0.2, 0.25])
+def test_lift_off_without_contact_mass_is_no_hard_case(frequency, excitation, friction):
+    """From stick to landing at every period, below and above resonance, cold."""
+    model = lift_off_oscillator(excitation=excitation)
+    for harmonics in (5, 15):
+        solution = solve(ContactProblem(model, ContactLaws(friction=friction), frequency, harmonics))
+        assert solution.residual <= 1e-8 and abs(solution.merit["energy_error"]) < 2e-4
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("ratio", [0.8, 1.0, 1.2])
+def test_a_floating_joint_through_its_resonance(ratio, friction):
+    """400.9 Hz is its first full-stick mode; two hundred newtons slide and open flanks."""
+    solution = solve(ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=friction), ratio * 400.9, 5))
+    assert solution.residual <= 1e-8
+    applied = solution.problem.model.normal.T @ solution.pair_forces["normal"][0].real
+    applied = applied + solution.problem.model.tangential.T @ solution.pair_forces["tangential"][0].real
+    np.testing.assert_allclose([applied[0:14:2].sum(), applied[1:14:2].sum()], [0.0, -1000.0], atol=1e-4)
+
+
+def test_a_blade_that_is_pushed_out_of_its_flanks_is_unheld():
+    with pytest.raises(
+        UnheldBody, match=r"nothing holds a floating body: 100% of the mean load .* opens pairs \d, \d, \d most"
+    ):
+        solve(ContactProblem(dovetail(pull=-1000.0), ContactLaws(), 200.0, 3))
+
+
+# Limits in which one law becomes another
+
+
+def agree(first, second, tolerance: float) -> None:
+    scale = np.abs(second.output("tip")).max()
+    np.testing.assert_allclose(first.output("tip"), second.output("tip"), atol=tolerance * scale)
+    forces = np.abs(second.pair_forces["normal"]).max()
+    np.testing.assert_allclose(first.pair_forces["normal"], second.pair_forces["normal"], atol=tolerance * forces)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [PROBLEMS["lift-off"], ContactProblem(dovetail(excitation=1.0), ContactLaws(), 200.0, 3)],
+    ids=["lift-off", "dovetail"],
+)
+def test_no_friction_is_frictionless(problem):
+    zero = solve(replace(problem, laws=ContactLaws(friction=0.0)), tolerance=1e-11)
+    none = solve(replace(problem, laws=ContactLaws(tangential="frictionless")), tolerance=1e-11)
+    assert none.unknowns < zero.unknowns
+    agree(zero, none, 1e-8)
+
+
+def test_a_gap_that_never_closes_leaves_the_structure_free():
+    model = random_structure()
+    model = replace(model, load={0: np.ones(9), 1: np.arange(9.0)})
+    free = solve(ContactProblem(model, ContactLaws("prescribed", "frictionless", normal_force=0.0), 0.1, 3))
+    apart = solve(ContactProblem(model, ContactLaws(initial_gap=1e3), 0.1, 3), tolerance=1e-11)
+    assert apart.merit["J_N"] > 900 and np.abs(apart.forces).max() < 1e-6
+    np.testing.assert_allclose(apart.output("tip"), free.output("tip"), atol=1e-7 * np.abs(free.output("tip")).max())
+
+
+def test_multiples_of_the_frequency_are_a_matter_of_counting():
+    """A load at harmonic 2 of f is one at harmonic 1 of 2f."""
+    model = lift_off_oscillator(excitation=4.0)
+    counted = replace(model, load={0: model.load[0], 2: model.load[1]})
+    laws = ContactLaws(friction=0.3)
+    plain = solve(ContactProblem(model, laws, 0.2, 4, 128, rho_tangential=0.5), tolerance=1e-11)
+    other = solve(ContactProblem(counted, laws, 0.1, (0, 2, 4, 6, 8), 256, rho_tangential=0.5), tolerance=1e-11)
+    np.testing.assert_allclose(other.forces, plain.forces, atol=1e-8 * np.abs(plain.forces).max())
+    assert other.merit["excitation_work"] == pytest.approx(2 * plain.merit["excitation_work"], rel=1e-8)
+
+
+# 1 m = 1000 mm, 1 kg = 1e-3 t, N and s stay
+def in_millimetres_and_tonnes(model: ReducedModel) -> ReducedModel:
+    return replace(
+        model,
+        mass=model.mass / 1e3,
+        damping=model.damping / 1e3,
+        stiffness=model.stiffness / 1e3,
+        pair_area=model.pair_area * 1e6,
+    )
+
+
+@pytest.mark.parametrize("name", ["floating, slip", "floating, mean zero", "lift-off", "stuck", "prescribed"])
+def test_units_change_no_step(name):
+    problem = PROBLEMS[name]
+    laws = problem.laws
+    if name == "lift-off":
+        laws = replace(laws, initial_gap=0.02)
+        problem = replace(problem, laws=laws)
+        laws = replace(laws, initial_gap=20.0)
+    other = replace(problem, model=in_millimetres_and_tonnes(problem.model), laws=laws)
+    metres, millimetres = solve(problem, tolerance=1e-10), solve(other, tolerance=1e-10)
+    assert metres.iterations == millimetres.iterations
+    assert metres.residual == pytest.approx(millimetres.residual, rel=1e-2, abs=1e-13)
+    np.testing.assert_allclose(millimetres.forces, metres.forces, atol=1e-9 * np.abs(metres.forces).max())
+    np.testing.assert_allclose(
+        millimetres.rigid, 1e3 * metres.rigid, atol=1e-6 * np.abs(millimetres.rigid).max(initial=0.0)
+    )
+    for output in metres.problem.model.outputs:
+        np.testing.assert_allclose(millimetres.output(output), 1e3 * metres.output(output), rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(millimetres.history("gap", 32), 1e3 * metres.history("gap", 32), atol=1e-6)
+
+
+def test_redundant_pairs_share_their_force():
+    """The same pair twice: neither the motion nor the force in all changes."""
+    model = lift_off_oscillator(excitation=4.0)
+    twice = replace(
+        model,
+        normal=np.repeat(model.normal, 2, axis=0),
+        tangential=np.repeat(model.tangential, 2, axis=0),
+        pair_area=None,
+    )
+    laws = ContactLaws(friction=0.3)
+    one, two = (solve(ContactProblem(m, laws, 0.2, 5), tolerance=1e-10) for m in (model, twice))
+    np.testing.assert_allclose(two.output("tip"), one.output("tip"), atol=1e-3 * np.abs(one.output("tip")).max())
+    np.testing.assert_allclose(
+        two.pair_forces["normal"].sum(axis=1)[0], one.pair_forces["normal"].sum(axis=1)[0], rtol=1e-3
+    )
+
+
+def test_a_static_problem_has_one_harmonic():
+    """Frequency zero, harmonic zero: three pairs pressed unequally, one of them pulled open."""
+    model = random_structure()
+    load = 5.0 * model.normal.T @ np.linalg.solve(model.normal @ model.normal.T, [-1.0, -2.0, 3.0])
+    solution = solve(
+        ContactProblem(replace(model, load={0: load}), ContactLaws(tangential="frictionless"), 0.0, 0), tolerance=1e-12
+    )
+    gap, force = solution.history("gap", 1)[0], solution.history("normal_force", 1)[0]
+    assert np.all(gap > -1e-10) and np.all(force > -1e-10) and np.abs(gap * force).max() < 1e-9
+    assert np.any(gap > 1e-3) and np.any(force > 1e-3)
+    np.testing.assert_allclose(
+        model.stiffness @ solution.coordinates[0].real, load + model.normal.T @ force, atol=1e-10
+    )

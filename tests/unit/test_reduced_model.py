@@ -1,0 +1,205 @@
+"""The reduced model: what it refuses, its rigid modes, bonding of rows, and its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse
+from hypothesis import given
+from hypothesis import strategies as st
+from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
+
+from ewr_fenicsx import ReducedModel
+from ewr_fenicsx.errors import EwrError, ModelError
+from ewr_fenicsx.reduced_model import find_rigid_modes, hold
+
+PLAIN = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.eye(2), "normal": [[1.0, 0.0]]}
+SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"mass": np.eye(3)}, r"mass has shape \(3, 3\); expected \(2, 2\)"),
+        ({"damping": np.zeros((1, 2))}, r"damping has shape \(1, 2\); expected \(2, 2\)"),
+        ({"stiffness": [[1.0, np.nan], [np.nan, 1.0]]}, "stiffness has entries that are not finite"),
+        ({"mass": SKEW}, "mass is not symmetric: largest difference 0.5; symmetrise it or check its assembly"),
+        ({"stiffness": SKEW}, "stiffness is not symmetric: largest difference 0.5"),
+        ({"stiffness": -np.eye(2)}, "stiffness is not positive semidefinite: scaled eigenvalue -1"),
+        ({"normal": None}, "give normal, tangential or both"),
+        ({"normal": [[1.0, 0.0, 0.0]]}, r"normal has shape \(1, 3\); expected \(any, 2\)"),
+        (
+            {"tangential": np.ones((3, 2))},
+            r"tangential has 3 rows for 1 pairs; give 1 \(2-D\) or 2 \(3-D, pair-major\)",
+        ),
+        ({"pair_area": [1.0, 2.0]}, "pair_area has 2 entries; expected 1"),
+        ({"pair_area": [-2.0]}, r"pair_area\[0\] = -2 m\^2; every tributary area must be positive"),
+        ({"pair_area": [0.0]}, r"pair_area\[0\] = 0 m\^2"),
+        ({"load": {0: [1j, 0.0]}}, r"load\[0\] is the mean load and must be real"),
+        ({"load": {1: [1.0]}}, r"load\[1\] has 1 entries; expected 2"),
+        ({"load": {-1: [1.0, 0.0]}}, "harmonic -1; harmonics are whole numbers from 0"),
+        ({"load": {0.5: [1.0, 0.0]}}, "harmonic 0.5; harmonics are whole numbers from 0"),
+        ({"load": {1: [np.inf, 0.0]}}, r"load\[1\] has entries that are not finite"),
+        ({"outputs": {"tip": [1.0]}}, r"outputs\['tip'\] has 1 entries; expected 2"),
+        ({"rigid_modes": [[1.0], [0.0]]}, r"rigid_modes\[:, 0\] meets elastic forces of 1 of the stiffness"),
+    ],
+)
+def test_what_makes_no_model_is_refused_by_name(changes, message):
+    with pytest.raises(ModelError, match=message) as caught:
+        ReducedModel(**PLAIN | changes)
+    assert isinstance(caught.value, EwrError) and isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("name", ["mass", "stiffness"])
+def test_matrices_must_be_square(name):
+    with pytest.raises(ModelError, match=name):
+        ReducedModel(**PLAIN | {name: np.ones((2, 3))})
+
+
+def test_matrices_may_be_sparse_and_lists():
+    sparse = {name: scipy.sparse.csr_matrix(PLAIN[name]) for name in ("mass", "damping", "stiffness", "normal")}
+    model = ReducedModel(**sparse)
+    np.testing.assert_array_equal(model.stiffness, np.eye(2))
+    np.testing.assert_array_equal(model.normal, [[1.0, 0.0]])
+
+
+def test_arrays_are_copies_that_cannot_be_changed():
+    mass = np.eye(2)
+    model = ReducedModel(**PLAIN | {"mass": mass})
+    mass[0, 0] = 99.0
+    assert model.mass[0, 0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        model.mass[0, 0] = 2.0
+
+
+def test_rows_by_direction():
+    plane, space = random_structure(pairs=3), random_structure(pairs=3, tangents=2)
+    assert (plane.tangents, space.tangents, plane.pairs, space.pairs) == (1, 2, 3, 3)
+    np.testing.assert_array_equal(plane.rows("tangential"), plane.tangential)
+    np.testing.assert_array_equal(space.rows("tangential"), space.tangential[[0, 2, 4]])
+    np.testing.assert_array_equal(space.rows("second_tangential"), space.tangential[[1, 3, 5]])
+    with pytest.raises(ModelError, match=r"needs second_tangential contact rows .* give second_tangential=\.\.\."):
+        plane.rows("second_tangential")
+    with pytest.raises(ModelError, match="needs normal contact rows and the reduced model has none"):
+        friction_oscillator().rows("normal")
+
+
+@pytest.mark.parametrize(
+    "model", [dovetail(), random_structure(tangents=2), friction_oscillator()], ids=lambda m: f"n={m.size}"
+)
+def test_a_model_survives_its_file(model, tmp_path):
+    path = tmp_path / "model.h5"
+    model.save(path)
+    again = ReducedModel.load(path)
+    for name in ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes"):
+        before, after = getattr(model, name), getattr(again, name)
+        if before is None:
+            assert after is None
+        else:
+            np.testing.assert_array_equal(before, after)
+    for name in ("load", "outputs"):
+        before, after = getattr(model, name), getattr(again, name)
+        assert before.keys() == after.keys()
+        for key in before:
+            np.testing.assert_array_equal(before[key], after[key])
+
+
+def test_a_strange_file_is_refused(tmp_path):
+    with h5py.File(tmp_path / "strange.h5", "w") as file:
+        file.attrs["format"] = "something else"
+    with pytest.raises(
+        ModelError, match=r'strange\.h5: format "something else", expected "ewr_fenicsx reduced model, 1"'
+    ):
+        ReducedModel.load(tmp_path / "strange.h5")
+
+
+def test_a_floating_blade_has_three_rigid_modes():
+    model = dovetail()
+    assert model.rigid_modes.shape == (26, 3)
+    assert np.linalg.matrix_rank(model.rigid_modes) == 3
+    force = np.abs(model.stiffness @ model.rigid_modes).max(axis=0)
+    assert np.all(force < 1e-12 * (np.abs(model.stiffness) @ np.abs(model.rigid_modes)).max(axis=0))
+    np.testing.assert_allclose(model.rigid_modes[14:], 0.0, atol=1e-12 * np.abs(model.rigid_modes).max())
+
+
+def test_a_grounded_structure_has_none():
+    assert random_structure().rigid_modes.shape == (9, 0)
+
+
+@given(st.integers(0, 4), st.integers(0, 2**32 - 1), st.floats(-6, 6))
+def test_as_many_rigid_modes_as_the_stiffness_lacks_in_rank(count, seed, exponent):
+    """Whatever the units: a stiffness scaled by powers of ten has the same null space."""
+    root = np.random.default_rng(seed).normal(size=(8, 8 - count))
+    stiffness = 10.0**exponent * root @ root.T
+    modes = find_rigid_modes(stiffness)
+    assert modes.shape == (8, count)
+    if count:
+        angles = scipy.linalg.subspace_angles(modes, scipy.linalg.null_space(root.T))
+        assert angles.max() < 1e-6
+
+
+@pytest.mark.parametrize("ground, modes", [(1e-10, 0), (1e-16, 1), (0.0, 1)])
+def test_a_weak_spring_to_the_ground_still_holds(ground, modes):
+    """Ten orders of magnitude softer than the body is elastic; what rounding leaves is not."""
+    assert find_rigid_modes(np.array([[1.0 + ground, -1.0], [-1.0, 1.0]])).shape == (2, modes)
+
+
+def test_rigid_modes_found_between_coordinates_of_unlike_units():
+    """Modal coordinates beside displacements: stiffness entries a factor of 1e12 apart."""
+    model = transform_coordinates(dovetail(), np.diag(np.logspace(0, 6, 26)))
+    assert model.rigid_modes.shape == (26, 3)
+
+
+def test_given_rigid_modes_are_kept():
+    model = dovetail()
+    turned = model.rigid_modes @ np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0], [1.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(replace(model, rigid_modes=turned).rigid_modes, turned)
+    stuck = np.eye(26)[:, :1]
+    with pytest.raises(ModelError, match="give null vectors of the stiffness, or None to have them found"):
+        replace(model, rigid_modes=stuck)
+
+
+def test_holding_rows_leaves_the_motions_that_obey_them():
+    model = dovetail()
+    rows = np.vstack([model.normal[:2], model.tangential[1:2]])
+    held, basis = hold(model, rows)
+    assert basis.shape == (26, 23) and held.size == 23
+    np.testing.assert_allclose(rows @ basis, 0.0, atol=1e-14)
+    motion = np.random.default_rng(0).normal(size=23)
+    x = basis @ motion
+    for name in ("mass", "damping", "stiffness"):
+        assert motion @ getattr(held, name) @ motion == pytest.approx(x @ getattr(model, name) @ x, rel=1e-12)
+    np.testing.assert_allclose(held.normal @ motion, model.normal @ x, atol=1e-13)
+    np.testing.assert_allclose(held.tangential @ motion, model.tangential @ x, atol=1e-13)
+    for h in model.load:
+        assert held.load[h] @ motion == pytest.approx(model.load[h] @ x, rel=1e-12)
+    assert held.outputs["tip"] @ motion == pytest.approx(model.outputs["tip"] @ x, rel=1e-12)
+
+
+@pytest.mark.parametrize("count, left", [(0, 3), (1, 2), (2, 1), (3, 0), (6, 0)])
+def test_bonds_take_rigid_modes_away(count, left):
+    model = dovetail()
+    rows = np.vstack([model.normal, model.tangential])[np.array([0, 6, 3, 9, 1, 2])[:count]]
+    held, _ = hold(model, rows)
+    assert held.rigid_modes.shape == (held.size, left)
+    assert find_rigid_modes(held.stiffness).shape[1] == left
+
+
+def test_redundant_bonds_do_no_harm():
+    model = dovetail()
+    once, _ = hold(model, model.normal)
+    twice, _ = hold(model, np.vstack([model.normal, 1e3 * model.normal]))
+    assert once.size == twice.size == 20
+    eigenvalues = [scipy.linalg.eigvalsh(m.stiffness, m.mass) for m in (once, twice)]
+    np.testing.assert_allclose(*eigenvalues, rtol=1e-9, atol=1e-9 * eigenvalues[0].max())
+
+
+def test_holding_nothing_returns_the_model_itself():
+    model = dovetail()
+    held, basis = hold(model, np.zeros((0, 26)))
+    assert held is model
+    np.testing.assert_array_equal(basis, np.eye(26))

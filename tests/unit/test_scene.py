@@ -1,0 +1,196 @@
+"""Scenes: what is accepted, what is refused and with which words, and that the reference page says the same."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from ewr_fenicsx.effects import list_effects
+from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.scene import Excitation, ForceLoad, Geometry, RotationLoad, Scene, Section, load_scene
+from ewr_fenicsx.scene_reference import list_sections, write_reference
+
+ROOT = Path(__file__).parents[2]
+SCENE = """
+[geometry]
+source = "builder.py"
+
+[loads.pull]
+boundary = "tip"
+force = [0, 20e3]
+
+[loads.shake]
+boundary = "tip"
+force = [50, 0]
+harmonic = 1
+
+[excitation]
+frequency = 1000
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write a scene beside a builder and load it."""
+    (tmp_path / "builder.py").write_text("def build(): ...")
+
+    def write_and_load(text: str) -> Scene:
+        (tmp_path / "scene.toml").write_text(text)
+        return load_scene(tmp_path / "scene.toml")
+
+    return write_and_load
+
+
+def test_short_scene_has_the_documented_defaults(read, tmp_path):
+    scene = read(SCENE)
+    assert scene.geometry.source == tmp_path / "builder.py"
+    assert scene.harmonics == (0, 1, 2, 3, 4, 5)
+    assert (scene.contact.normal, scene.contact.tangential, scene.contact.friction) == ("unilateral", "coulomb", 0.2)
+    assert (scene.damping.kind, scene.damping.ratios, scene.damping.frequencies) == (
+        "ratios",
+        (0.002, 0.002),
+        (500, 3000),
+    )
+    assert scene.supports.clamp == ("clamp",)
+    assert scene.elasticity.thickness == 0.01
+
+
+@pytest.mark.parametrize(
+    ("addition", "expected"),
+    [
+        ("[contact]\nfrction = 0.3", r'contact\.frction = 0\.3: unknown key; did you mean "friction"\?'),
+        ("[contct]\nfriction = 0.3", r'contct = .*unknown key; did you mean "contact"\?'),
+        ("[contact]\nharmonics = 3", r"contact\.harmonics = 3: unknown key here; it belongs to \[solver\]"),
+        ("[materials.blade]\nyung = 1.0", r'materials\.blade\.yung = 1\.0: unknown key; did you mean "young"\?'),
+        ("[loads.s]\nboundry = 'tip'\nforce = [1, 0]", r'loads\.s\.boundry = .*did you mean "boundary"\?'),
+        ("[contact]\nfriction = -0.2", r"contact\.friction = -0\.2: should be greater than or equal to 0"),
+        ("[contact]\nfriction = '0.2'", r"contact\.friction = '0\.2': should be a number"),
+        ("[contact]\nfriction = true", r"contact\.friction = True: should be a number"),
+        ("[solver]\ntolerance = nan", r"solver\.tolerance = nan: should be a finite number"),
+        ("[materials.disk]\npoisson = 0.5", r"materials\.disk\.poisson = 0\.5: should be less than 0\.5"),
+        ("[elasticity]\nplane = 'stres'", r"elasticity\.plane = 'stres': should be 'stress' or 'strain'"),
+        ("[elasticity]\ndegree = 3", r"elasticity\.degree = 3: should be 1 or 2"),
+        ("[reduction]\nmodes = 2.5", r"reduction\.modes = 2\.5: should be a whole number"),
+        ("[supports]\nclamp = 'clamp'", r"supports\.clamp = 'clamp': should be a list"),
+        ("[solver]\nharmonics = '5'", r"solver\.harmonics = '5': should be a whole number, or should be a list"),
+        ("[solver]\nharmonics = [1, 3]", r'solver\.harmonics = \[1, 3\] leave out harmonic 0, .* "pull" acts'),
+        ("[solver]\nharmonics = [0, 1, 1]", r"solver\.harmonics = \[0, 1, 1\]: should be distinct"),
+        ("[loads.s]\nboundary = 'tip'\nforce = [1]", r"loads\.s\.force = \[1\]: has too few entries"),
+        ("[loads.s]\nboundary = 'tip'\nforce = [0, 0]", r"loads\.s: the force is zero"),
+        (
+            "[loads.s]\nboundary = 'tip'\nforce = [1, 0]\nphase = 90",
+            r"loads\.s: a static load .* was harmonic = 1 meant\?",
+        ),
+        ("[loads.s]\nkind = 'rotatoin'\nspeed = 1", r'loads\.s\.kind = \'rotatoin\': should be "force" or "rotation"'),
+        ("[loads.s]\nkind = 'rotation'\nspeed = 0", r"loads\.s\.speed = 0: should be greater than 0"),
+        ("[damping]\nkind = 'rayleigh'\nalpha = 1", r"damping\.beta: missing"),
+        ("[damping]\nfrequencies = [3000, 500]", r"damping: the two frequencies should rise"),
+        ("[contact]\nnormal = 'bonded'\ninitial_gap = 1e-6", r'initial_gap does nothing with normal = "bonded"'),
+        ("[contact]\ntangential = 'bonded'\nfriction = 0.3", r'friction does nothing with tangential = "bonded"'),
+        ("[contact]\nnormal = 'prescribed'", r"needs normal_force \[N\]"),
+        ("[contact]\nbody_b = 'blade'", r"body_a and body_b should differ"),
+        (
+            "[outputs.tip]\nboundary = 'tip'\ndirection = [0, 0]",
+            r"outputs\.tip\.direction = \[0, 0\]: should not be the zero vector",
+        ),
+        ("[contact]\n[contact]", r"not valid TOML"),
+    ],
+)
+def test_mistake_is_named_with_file_key_value_and_expectation(read, tmp_path, addition, expected):
+    with pytest.raises(SceneError, match=expected) as caught:
+        read(SCENE + addition)
+    assert str(caught.value).startswith(f"scene {tmp_path / 'scene.toml'}: ")
+
+
+def test_all_mistakes_come_at_once(read):
+    with pytest.raises(SceneError) as caught:
+        read(SCENE + "[contact]\nfriction = -1\n[elasticity]\nthickness = 0")
+    assert "2 mistakes" in str(caught.value)
+    assert "contact.friction = -1" in str(caught.value)
+    assert "elasticity.thickness = 0" in str(caught.value)
+
+
+def test_missing_tables_and_files_are_named(read, tmp_path):
+    with pytest.raises(SceneError, match=r"excitation: missing, and it has no default"):
+        read(SCENE.replace("[excitation]\nfrequency = 1000", ""))
+    with pytest.raises(SceneError, match=r"geometry\.source = 'bilder\.py': no such file: .*bilder\.py"):
+        read(SCENE.replace("builder.py", "bilder.py"))
+    with pytest.raises(SceneError, match=r"should be a builder \(\.py\) or a gmsh mesh \(\.msh\)"):
+        read(SCENE.replace("builder.py", "builder.step"))
+    with pytest.raises(SceneError, match=r"nowhere\.toml: cannot be read: No such file"):
+        load_scene(tmp_path / "nowhere.toml")
+
+
+def test_python_scene_equals_the_file_s(read, tmp_path):
+    scene = Scene(
+        geometry=Geometry(source=tmp_path / "builder.py"),
+        loads={
+            "pull": ForceLoad(boundary="tip", force=(0, 20e3)),
+            "shake": ForceLoad(boundary="tip", force=(50, 0), harmonic=1),
+        },
+        excitation=Excitation(frequency=1000),
+    )
+    assert scene.model_dump() == read(SCENE).model_dump()
+    assert Scene.model_validate(json.loads(scene.model_dump_json())) == scene
+
+
+def test_python_scene_is_checked_too(tmp_path):
+    (tmp_path / "builder.py").touch()
+    geometry = Geometry(source=tmp_path / "builder.py")
+    with pytest.raises(SceneError, match=r"scene: solver\.harmonics = \[0\] leave out harmonic 1"):
+        Scene(
+            geometry=geometry,
+            loads={"shake": ForceLoad(boundary="tip", force=(1, 0), harmonic=1)},
+            excitation=Excitation(frequency=1),
+            solver={"harmonics": 0},
+        )
+
+
+def test_scene_is_frozen(read):
+    with pytest.raises(ValidationError, match="frozen"):
+        read(SCENE).contact.friction = 0.3
+
+
+def test_effects_follow_the_scene(read):
+    on = lambda text: {effect.name for effect in list_effects(read(text)) if effect.on}  # noqa: E731
+    assert on(SCENE) == {"separation", "friction", "static friction", "static load", "harmonic load"}
+    assert on(SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'") == {
+        "bonded parts",
+        "static load",
+        "harmonic load",
+    }
+    assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
+    assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000")
+    odd = SCENE.replace("force = [0, 20e3]", "force = [0, 20e3]\nharmonic = 1") + "[solver]\nharmonics = [1, 3, 5]"
+    assert "odd harmonics only" in on(odd)
+
+
+def test_rotation_is_static():
+    assert RotationLoad(kind="rotation", speed=9000).harmonic == 0
+
+
+def test_reference_page_is_the_one_generated_from_the_definition():
+    page = (ROOT / "docs" / "scenes.md").read_text()
+    assert page == write_reference(), "run: python -m ewr_fenicsx.scene_reference > docs/scenes.md"
+    for title, kind in list_sections():
+        assert f"## {title}" in page
+        for name, field in kind.model_fields.items():
+            assert f"| `{name}` |" in page
+            assert field.description, f"{title} {name} has no description"
+
+
+def test_example_of_the_reference_page_is_a_scene(read):
+    example = re.search(r"```toml\n(.*?)```", write_reference(), re.DOTALL).group(1)
+    assert read(example.replace("fir_tree.py", "builder.py")).excitation.frequency == 1000
+
+
+def test_schema_closes_every_table():
+    schema = Scene.model_json_schema()
+    tables = [schema, *schema["$defs"].values()]
+    assert all(table["additionalProperties"] is False for table in tables)
+    assert len(tables) == 1 + len(list(list_sections()))
+    assert issubclass(Scene, Section)

@@ -1,0 +1,362 @@
+"""A periodic solution: histories, coordinates, recovered bond forces and figures of merit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure, transform_coordinates
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.indicators import (
+    measure_cone_violation,
+    measure_rms,
+    measure_separation,
+    measure_sliding,
+    measure_work,
+)
+from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
+
+SAMPLES = 96
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> PeriodicSolution:
+    """A pair that lifts off, sticks and slips, with an initial gap."""
+    solution = solve(
+        ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3, initial_gap=0.02), 0.2, 5)
+    )
+    assert solution.history("gap", 64).max() > 0.3 and solution.history("normal_force", 64).max() > 1.0
+    return solution
+
+
+@pytest.fixture(scope="module")
+def floating() -> PeriodicSolution:
+    return solve(ContactProblem(dovetail(), ContactLaws(friction=0.2), 200.0, 5), tolerance=1e-11)
+
+
+def series(solution: PeriodicSolution, amplitudes: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
+    tau = 2 * np.pi * np.arange(samples) / samples
+    return np.real(sum(np.exp(1j * h * tau)[:, None] * a for h, a in zip(solution.orders, amplitudes, strict=True)))
+
+
+@pytest.mark.parametrize("name", HISTORIES)
+def test_histories_have_their_shape(rubbing, floating, name):
+    assert rubbing.history(name).shape == (1024, 1)
+    assert floating.history(name, 50).shape == (50, 6)
+    coarse, fine = floating.history(name, 64), floating.history(name, 256)
+    np.testing.assert_allclose(coarse, fine[::4], atol=1e-12 * np.abs(fine).max())
+
+
+@pytest.mark.parametrize("which", ["rubbing", "floating"])
+def test_histories_agree_with_each_other(which, request):
+    solution = request.getfixturevalue(which)
+    model, omega = solution.problem.model, solution.problem.omega
+    gap, slip = solution.history("gap", SAMPLES), solution.history("slip", SAMPLES)
+    initial = 0.02 if which == "rubbing" else 0.0
+    x = series(solution, solution.coordinates)
+    np.testing.assert_allclose(gap, x @ model.normal.T + initial, atol=1e-12 * np.abs(x).max())
+    np.testing.assert_allclose(slip, x @ model.tangential.T, atol=1e-12 * np.abs(x).max())
+    velocity = solution.history("slip_velocity", SAMPLES)
+    spectrum = np.fft.rfft(slip, axis=0) * 1j * omega * np.arange(SAMPLES // 2 + 1)[:, None]
+    np.testing.assert_allclose(velocity, np.fft.irfft(spectrum, SAMPLES, axis=0), atol=1e-11 * np.abs(velocity).max())
+    np.testing.assert_allclose(
+        x @ model.outputs["tip"], series(solution, solution.output("tip")[:, None])[:, 0], atol=1e-12 * np.abs(x).max()
+    )
+
+
+@pytest.mark.parametrize("which", ["rubbing", "floating"])
+def test_coordinates_meet_the_equation_of_motion(which, request):
+    """M x'' + D x' + K x = B^T lam + f at every harmonic kept, the mean of a floating body included."""
+    solution = request.getfixturevalue(which)
+    model = solution.problem.model
+    for j, h in enumerate(solution.orders):
+        w, x = h * solution.problem.omega, solution.coordinates[j]
+        inner = model.stiffness @ x + 1j * w * (model.damping @ x) - w**2 * (model.mass @ x)
+        outer = (
+            model.normal.T @ solution.pair_forces["normal"][j]
+            + model.tangential.T @ solution.pair_forces["tangential"][j]
+        )
+        outer = outer + model.load.get(h, 0)
+        scale = max((np.abs(model.stiffness) @ np.abs(x)).max(), np.abs(outer).max())
+        np.testing.assert_allclose(inner, outer, atol=1e-11 * scale)
+
+
+def test_residual_in_time_is_that_of_the_laws(rubbing):
+    """The projected laws vanish: all harmonics kept of force minus admissible force are zero."""
+    friction, admissible = rubbing.history("friction_force", 256), rubbing.history("admissible_friction_force", 256)
+    spectrum = np.fft.rfft(friction - admissible, axis=0)[1:6] / 256
+    assert np.abs(spectrum).max() < 1e-7 * np.abs(friction).max()
+    limit = 0.3 * np.maximum(0.0, rubbing.history("normal_force", 256))
+    assert np.all(np.abs(admissible) <= limit + 1e-14)
+    assert np.abs(friction - admissible).max() > 1e-4, "truncation leaves the cone a little"
+
+
+@pytest.mark.parametrize(
+    "normal, tangential",
+    [("bonded", "bonded"), ("unilateral", "bonded"), ("bonded", "coulomb"), ("unilateral", "coulomb")],
+)
+@pytest.mark.parametrize(
+    "model", [dovetail(excitation=1.0), lift_off_oscillator(excitation=0.1)], ids=["dovetail", "lift-off"]
+)
+def test_forces_in_bonds_are_those_that_hold_stuck_pairs(normal, tangential, model):
+    """Under small excitation nothing opens or slips: every law combination is the same linear problem.
+
+    Mean friction is not comparable: friction of pairs that stick is indeterminate in the mean, and taken near zero.
+    """
+    frequency = 200.0 if model.size == 26 else 0.1
+    laws = ContactLaws(normal, tangential, friction=5.0)
+    solution = solve(ContactProblem(model, laws, frequency, 3), tolerance=1e-12)
+    bonded = solve(ContactProblem(model, ContactLaws("bonded", "bonded"), frequency, 3))
+    assert (bonded.unknowns, bonded.iterations, bonded.converged) == (0, 0, True)
+    for direction in ("normal", "tangential"):
+        scale = np.abs(bonded.pair_forces["normal"]).max()
+        np.testing.assert_allclose(
+            solution.pair_forces[direction][1:], bonded.pair_forces[direction][1:], atol=1e-8 * scale
+        )
+        if tangential == "bonded":
+            np.testing.assert_allclose(
+                solution.pair_forces[direction][0], bonded.pair_forces[direction][0], atol=1e-8 * scale
+            )
+    np.testing.assert_allclose(
+        solution.output("tip")[1:], bonded.output("tip")[1:], atol=1e-9 * np.abs(bonded.output("tip")[1])
+    )
+    assert bonded.history("normal_force", 64).min() > 0, "else the comparison is void"
+
+
+def test_forces_in_bonds_of_bodies_in_space():
+    """Two tangents a pair, both bonded: the bonds' forces, applied to the free structure, move it as the bonded one."""
+    model = replace(random_structure(size=14, pairs=3, tangents=2), load={1: np.arange(14.0)})
+    solution = solve(ContactProblem(model, ContactLaws("bonded", "bonded"), 0.1, 1))
+    x, w = solution.coordinates[1], solution.problem.omega
+    np.testing.assert_allclose(np.vstack([model.normal, model.tangential]) @ x, 0.0, atol=1e-10 * np.abs(x).max())
+    left = model.stiffness @ x + 1j * w * (model.damping @ x) - w**2 * (model.mass @ x) - model.load[1]
+    every = np.linalg.lstsq(np.vstack([model.normal, model.tangential]).T, left, rcond=None)[0]
+    np.testing.assert_allclose(solution.pair_forces["normal"][1], every[:3], rtol=1e-8)
+    np.testing.assert_allclose(solution.pair_forces["tangential"][1], every[3:][::2], rtol=1e-8)
+
+
+def test_prescribed_forces_are_reported():
+    model = random_structure(size=8)
+    force = {0: [3.0, 4.0, 5.0], 1: 1j}
+    solution = solve(ContactProblem(model, ContactLaws("prescribed", "frictionless", normal_force=force), 0.1, 2))
+    np.testing.assert_array_equal(solution.pair_forces["normal"], [[3.0, 4.0, 5.0], [1j, 1j, 1j], [0, 0, 0]])
+    tau = 2 * np.pi * np.arange(32) / 32
+    np.testing.assert_allclose(solution.history("normal_force", 32)[:, 1], 4.0 - np.sin(tau), atol=1e-14)
+    x = np.linalg.solve(model.stiffness, model.normal.T @ force[0])
+    np.testing.assert_allclose(solution.coordinates[0], x, rtol=1e-11)
+
+
+def test_prescribed_forces_outside_the_harmonics_kept_are_reported():
+    """Odd harmonics suffice for a mass that rubs under a constant force: the force is no less there."""
+    laws = ContactLaws("prescribed", normal_force={0: 0.8, 2: 0.1}, friction=0.5)
+    solution = solve(ContactProblem(friction_oscillator(damping=0.1), laws, 0.1, (1, 3, 5)))
+    expected = 0.8 + 0.1 * np.cos(4 * np.pi * np.arange(64) / 64)
+    np.testing.assert_allclose(solution.history("normal_force", 64)[:, 0], expected, atol=1e-14)
+    assert 0 < solution.merit["cone_violation"] < 0.3
+    assert np.any(classify_contact(solution, 64) == SLIP)
+
+
+@pytest.mark.parametrize("which", ["rubbing", "floating"])
+def test_states_are_those_that_the_forces_and_motions_show(which, request):
+    solution = request.getfixturevalue(which)
+    state, limit = classify_contact(solution, 512), sample_friction_limit(solution, 512)
+    friction, gap = solution.history("admissible_friction_force", 512), solution.history("gap", 512)
+    velocity = solution.history("slip_velocity", 512)
+    assert np.all(np.abs(friction[state == STICK]) < limit[state == STICK])
+    np.testing.assert_allclose(np.abs(friction[state == SLIP]), limit[state == SLIP], rtol=1e-8)
+    assert {STICK, SLIP} <= set(np.unique(state)) and (np.any(state == OPEN) == (which == "rubbing"))
+    assert np.abs(velocity[state == SLIP]).mean() > 3 * np.abs(velocity[state == STICK]).mean()
+    if which == "rubbing":
+        assert gap[state == OPEN].mean() > 10 * np.abs(gap[state != OPEN]).mean()
+
+
+def test_a_frictionless_joint_has_no_friction():
+    solution = solve(ContactProblem(lift_off_oscillator(), ContactLaws(tangential="frictionless"), 0.1, 3))
+    assert np.all(solution.history("friction_force", 32) == 0) and np.all(
+        solution.history("admissible_friction_force", 32) == 0
+    )
+    assert np.abs(solution.history("slip", 32)).max() > 0
+
+
+def test_unknown_names_are_hinted_at(rubbing):
+    with pytest.raises(ModelError, match=r'no history "slip_velocty"; choose one of .*; did you mean "slip_velocity"'):
+        rubbing.history("slip_velocty")
+    with pytest.raises(ModelError, match=r'no output "tipp"; the model has \[\'tip\'\]; did you mean "tip"'):
+        rubbing.output("tipp")
+
+
+def test_figures_of_merit_are_those_of_the_histories(rubbing):
+    merit, count = rubbing.merit, rubbing.problem.basis.samples
+    h = {name: rubbing.history(name, count)[:, 0] for name in HISTORIES}
+    dt = 1 / rubbing.problem.frequency / count
+    assert merit["penetration"] == pytest.approx(max(0.0, -h["gap"].min()), rel=1e-12) and merit["penetration"] > 0
+    assert merit["tension"] == pytest.approx(max(0.0, -h["normal_force"].min()), rel=1e-12)
+    assert merit["largest_normal_force"] == h["normal_force"].max()
+    limit = 0.3 * np.maximum(0, h["normal_force"])
+    assert merit["cone_violation"] == pytest.approx(
+        (np.abs(h["friction_force"]) - limit).max() / limit.max(), rel=1e-12
+    )
+    rubbed = -np.sum(h["admissible_friction_force"] * h["slip_velocity"]) * dt
+    assert merit["friction_dissipation"] == pytest.approx(rubbed, rel=1e-12) and rubbed > 0
+    assert merit["J_T"] == pytest.approx(np.sum(np.abs(h["slip_velocity"])) * dt, rel=1e-12)
+    assert merit["J_N"] == pytest.approx(h["gap"].mean(), rel=1e-12)
+    model = rubbing.problem.model
+    x, tau = series(rubbing, rubbing.coordinates, count), 2 * np.pi * np.arange(count) / count
+    rate = series(rubbing, 1j * rubbing.problem.omega * np.arange(6)[:, None] * rubbing.coordinates, count)
+    force = model.load[0].real + np.real(np.exp(1j * tau)[:, None] * model.load[1])
+    assert merit["excitation_work"] == pytest.approx(np.sum(force * rate) * dt, rel=1e-10)
+    assert merit["viscous_dissipation"] == pytest.approx(np.sum(rate @ model.damping * rate) * dt, rel=1e-10)
+    assert merit["rms_tip"] == pytest.approx(np.std(x @ model.outputs["tip"]), rel=1e-10)
+    work, lost = merit["excitation_work"], merit["viscous_dissipation"] + rubbed
+    assert merit["energy_error"] == pytest.approx((work - lost) / max(work, lost), abs=1e-12)
+
+
+def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
+    """The friction force and the velocity share their harmonics: no truncation is left in the balance."""
+    assert floating.merit["friction_dissipation"] > 0.2 * floating.merit["excitation_work"]
+    assert abs(floating.merit["energy_error"]) < 1e-9
+
+
+def test_errors_of_lift_off_fall_with_the_harmonics():
+    """Normal forces do a little work on the truncated gap, and all truncated histories leave their sets a little."""
+    model, laws = lift_off_oscillator(excitation=4.0, damping=0.1), ContactLaws(friction=0.3)
+    merits = [solve(ContactProblem(model, laws, 0.2, n)).merit for n in (3, 9, 27)]
+    energy = [abs(m["energy_error"]) for m in merits]
+    assert energy[0] < 1e-4 and energy[1] < energy[0] / 5 and energy[2] < energy[1] / 5, energy
+    for name in ("penetration", "tension", "cone_violation"):
+        values = [m[name] for m in merits]
+        assert values[1] < values[0] / 1.4 and values[2] < values[1] / 1.4, (name, values)
+
+
+def test_indicators_by_hand():
+    tau = 2 * np.pi * np.arange(4000) / 4000
+    velocity = np.column_stack([3.0 * np.cos(tau), np.zeros(4000)])
+    np.testing.assert_allclose(measure_sliding(velocity, 2.0), [2.0 * 3.0 * 2 / np.pi, 0.0], rtol=1e-5)
+    np.testing.assert_allclose(
+        measure_separation(np.column_stack([1 + np.sin(tau), tau])), [1.0, tau.mean()], rtol=1e-12
+    )
+    assert measure_rms(np.array([9.0, 3.0, 4.0j]), (0, 1, 2)) == pytest.approx(5 / np.sqrt(2))
+    assert measure_rms(np.array([3.0, 4.0j]), (1, 3)) == pytest.approx(5 / np.sqrt(2))
+    force, motion = np.array([[2.0], [1.0 + 1j]]), np.array([[5.0], [0.5 - 2j]])
+    f, rate = np.real((1 + 1j) * np.exp(2j * tau)), np.real(2j * (0.5 - 2j) * np.exp(2j * tau))
+    assert measure_work(force, motion, (0, 2)) == pytest.approx(np.mean(f * rate) * 2 * np.pi)
+    assert measure_cone_violation(
+        np.array([[3.0], [-1.0]]), np.array([[4.0], [-2.0]]), np.array([0.5])
+    ) == pytest.approx(0.5)
+    assert measure_cone_violation(np.array([[1.0]]), np.array([[-1.0]]), np.array([0.5])) == 0.0
+
+
+def test_summary_is_for_people(rubbing):
+    assert rubbing.summary().startswith("0.2 Hz, harmonics 0..5: converged in ")
+    lost = replace(rubbing, converged=False, reason="too many Newton steps", fallbacks=("half the load",))
+    assert "NOT converged (too many Newton steps)" in lost.summary() and "fallback: half the load" in lost.summary()
+
+
+# Invariances of the whole solve
+
+
+@lru_cache
+def solve_base() -> PeriodicSolution:
+    return solve(
+        ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3, initial_gap=0.01), 0.1, 5), tolerance=1e-12
+    )
+
+
+@lru_cache
+def solve_joint() -> PeriodicSolution:
+    return solve(ContactProblem(dovetail(), ContactLaws(friction=0.3), 481.0, 3), tolerance=1e-12)
+
+
+def shift_in_time(model: ReducedModel, phase: float) -> ReducedModel:
+    return replace(model, load={h: f * np.exp(1j * h * phase) for h, f in model.load.items()})
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 255))
+def test_shift_of_time_shifts_the_solution(ticks):
+    """By whole samples exactly; between samples the laws are evaluated elsewhere."""
+    base = solve_base()
+    phase = 2 * np.pi * ticks / base.problem.basis.samples
+    shifted = solve(replace(base.problem, model=shift_in_time(base.problem.model, phase)), tolerance=1e-12)
+    turn = np.exp(1j * phase * np.arange(6))
+    np.testing.assert_allclose(shifted.forces, turn[:, None] * base.forces, atol=1e-9 * np.abs(base.forces).max())
+
+
+@settings(max_examples=12)
+@given(st.floats(-6, 6))
+def test_loads_and_gaps_scale_everything(exponent):
+    """Contact and friction know no force of their own: c times the loads and gaps give c times the answer."""
+    base = solve_base()
+    c, model = 10.0**exponent, base.problem.model
+    scaled = replace(model, load={h: c * f for h, f in model.load.items()})
+    solution = solve(
+        replace(base.problem, model=scaled, laws=ContactLaws(friction=0.3, initial_gap=0.01 * c)), tolerance=1e-12
+    )
+    np.testing.assert_allclose(solution.forces, c * base.forces, atol=1e-9 * c * np.abs(base.forces).max())
+    assert solution.iterations == base.iterations
+
+
+@settings(max_examples=12)
+@given(st.permutations(range(6)))
+def test_order_of_pairs_does_not_matter(order):
+    joint = solve_joint()
+    model = joint.problem.model
+    moved = replace(
+        model, normal=model.normal[order], tangential=model.tangential[order], pair_area=model.pair_area[order]
+    )
+    solution = solve(replace(joint.problem, model=moved), tolerance=1e-12)
+    for direction in ("normal", "tangential"):
+        before = joint.pair_forces[direction][:, order]
+        np.testing.assert_allclose(solution.pair_forces[direction], before, atol=1e-7 * np.abs(joint.forces).max())
+
+
+@settings(max_examples=12)
+@given(st.lists(st.sampled_from([-1.0, 1.0]), min_size=6, max_size=6))
+def test_direction_of_tangents_does_not_matter(signs):
+    joint = solve_joint()
+    signs = np.array(signs)
+    model = joint.problem.model
+    turned = solve(
+        replace(joint.problem, model=replace(model, tangential=signs[:, None] * model.tangential)), tolerance=1e-12
+    )
+    scale = np.abs(joint.forces).max()
+    np.testing.assert_allclose(turned.pair_forces["normal"], joint.pair_forces["normal"], atol=1e-7 * scale)
+    np.testing.assert_allclose(
+        turned.pair_forces["tangential"], signs * joint.pair_forces["tangential"], atol=1e-7 * scale
+    )
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 3))
+def test_coordinates_do_not_matter(seed, spread):
+    """Rotated axes, modal coordinates, other units among the coordinates: the joint does not know."""
+    joint = solve_joint()
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.normal(size=(26, 26)))[0]
+    basis = turn @ np.diag(10.0 ** rng.uniform(-spread, spread, 26))
+    solution = solve(replace(joint.problem, model=transform_coordinates(joint.problem.model, basis)), tolerance=1e-11)
+    np.testing.assert_allclose(solution.forces, joint.forces, atol=1e-6 * np.abs(joint.forces).max())
+    np.testing.assert_allclose(
+        solution.output("tip"), joint.output("tip"), atol=1e-6 * np.abs(joint.output("tip")).max()
+    )
+
+
+def test_shift_between_samples_only_moves_the_sampling():
+    """Half a sample: the answer changes by the aliasing error, which falls with the samples."""
+    errors = []
+    for samples in (64, 1024):
+        problem = ContactProblem(
+            friction_oscillator(damping=0.1), ContactLaws("prescribed", normal_force=0.3, friction=1.0), 0.1, 5, samples
+        )
+        phase = np.pi / samples
+        plain = solve(problem).output("tip")
+        shifted = solve(replace(problem, model=shift_in_time(problem.model, phase))).output("tip")
+        errors.append(np.abs(shifted - np.exp(1j * phase * np.arange(6)) * plain).max() / np.abs(plain).max())
+    assert errors[1] < errors[0] / 8 < 1e-3, errors

@@ -1,0 +1,233 @@
+"""The finite elements against closed forms: beam theory, patch test, rigid bodies, and welding."""
+
+from __future__ import annotations
+
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.sparse
+import scipy.sparse.linalg
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios
+from ewr_fenicsx.errors import ModesError
+from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.modes import full_stick_modes, rigid_body_modes, solve_modes, tie_pairs
+
+GEOMETRY = Path(__file__).parents[1] / "geometry"
+TWO_BLOCKS = GEOMETRY / "two_blocks.py"
+FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
+LENGTH, HEIGHT = 0.1, 0.01
+
+
+def assemble(source, parameters=None, material=TITANIUM, **options):
+    mesh = build_mesh(source, parameters or {}, MPI.COMM_WORLD)
+    return assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, material), **options)
+
+
+def to_scipy(matrix):
+    rows, columns, values = matrix.getValuesCSR()
+    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
+
+
+def timoshenko_cantilever(material: Material, length: float, height: float, count: int) -> np.ndarray:
+    """Bending frequencies [Hz] of a clamped-free beam of rectangular section.
+
+    Source: Huang (1961), doi:10.1115/1.3641787, clamped-free frequency equation; shear coefficient of Cowper (1966).
+    """
+    shear = material.young / (2 * (1 + material.poisson))
+    coefficient = 10 * (1 + material.poisson) / (12 + 11 * material.poisson)
+    r2 = height**2 / 12 / length**2
+    s2 = material.young / (coefficient * shear) * r2
+    scale = np.sqrt(material.young * height**2 / 12 / (material.density * length**4))
+
+    def equation(b: float) -> float:
+        root = np.sqrt((r2 - s2) ** 2 + 4 / b**2)
+        alpha, beta = (np.sqrt((sign * (r2 + s2) + root) / 2) for sign in (-1, 1))
+        return (
+            2
+            + (b**2 * (r2 - s2) ** 2 + 2) * np.cosh(b * alpha) * np.cos(b * beta)
+            - b * (r2 + s2) / np.sqrt(1 - b**2 * r2 * s2) * np.sinh(b * alpha) * np.sin(b * beta)
+        )
+
+    grid = np.linspace(0.5, 130, 2000)
+    changes = np.flatnonzero(np.diff(np.sign([equation(b) for b in grid])))[:count]
+    return np.array([scipy.optimize.brentq(equation, grid[k], grid[k + 1]) for k in changes]) * scale / (2 * pi)
+
+
+def hold_clamp(structure):
+    """Stiffness and mass without the clamped degrees of freedom."""
+    free = np.setdiff1d(np.arange(structure.mass.getSize()[0]), structure.fixed_dofs).astype(np.int32)
+    rows = PETSc.IS().createGeneral(free, comm=PETSc.COMM_SELF)
+    return structure.stiffness.createSubMatrix(rows, rows), structure.mass.createSubMatrix(rows, rows)
+
+
+def solve_cantilever(degree: int, columns: int, poisson: float) -> np.ndarray:
+    """First frequencies of the blocks welded into one beam and held at the lower end: two bending, one axial."""
+    shape = {
+        "width": HEIGHT,
+        "blade_height": LENGTH / 2,
+        "disk_height": LENGTH / 2,
+        "columns": columns,
+        "blade_rows": 5 * columns,
+        "disk_rows": 5 * columns,
+        "welded": True,
+    }
+    material = Material(TITANIUM.young, poisson, TITANIUM.density)
+    return solve_modes(*hold_clamp(assemble(TWO_BLOCKS, shape, material, degree=degree)), 3).frequency
+
+
+# without lateral contraction the clamped corners are no singularities, and beam theory holds at the clamp
+@pytest.mark.parametrize("poisson, columns, tolerances", [(0.0, 4, (3e-5, 2e-4)), (0.342, 4, (2e-3, 2.5e-3))])
+def test_cantilever_bends_as_timoshenko_says(poisson, columns, tolerances):
+    expected = timoshenko_cantilever(Material(TITANIUM.young, poisson, TITANIUM.density), LENGTH, HEIGHT, 2)
+    error = solve_cantilever(2, columns, poisson)[:2] / expected - 1
+    assert (np.abs(error) < tolerances).all(), error
+
+
+@pytest.mark.parametrize("degree, rate", [(1, 2), (2, 4)])
+def test_axial_frequency_converges_at_the_elements_rate(degree, rate):
+    """Against sqrt(E / rho) / (4 L), exact for zero Poisson's ratio; the error falls like h^(2 p)."""
+    exact = np.sqrt(TITANIUM.young / TITANIUM.density) / (4 * LENGTH)
+    coarse, fine = (solve_cantilever(degree, columns, 0.0)[2] / exact - 1 for columns in (1, 2))
+    assert 0 < fine < coarse
+    assert np.log2(coarse / fine) == pytest.approx(rate, abs=0.05)
+    assert fine < {1: 3e-4, 2: 3e-8}[degree]
+
+
+@pytest.mark.parametrize("degree, columns, rate", [(1, (2, 4, 8), 2), (2, (1, 2, 4), 4)])
+def test_bending_frequency_converges_at_the_elements_rate(degree, columns, rate):
+    """Three meshes, each twice as fine: the differences fall like h^(2 p)."""
+    first, second, third = (solve_cantilever(degree, c, 0.0)[0] for c in columns)
+    assert np.log2((first - second) / (second - third)) == pytest.approx(rate, abs=0.2)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_free_body_has_three_rigid_modes(degree):
+    """Their eigenvalues vanish to 1e-9 of the first elastic one, by the eigenvalue solver and by geometry alike."""
+    structure = assemble(TWO_BLOCKS, {"welded": True, "skew": 0.01}, degree=degree, clamp=())
+    modes = solve_modes(structure.stiffness, structure.mass, 5, shift=-((2 * pi * 1000) ** 2))
+    eigenvalues = modes.frequency**2
+    assert eigenvalues[3] > 1e6
+    assert (eigenvalues[:3] < 1e-9 * eigenvalues[3]).all()
+    apart = assemble(TWO_BLOCKS, {"skew": 0.01}, degree=degree)
+    rigid = rigid_body_modes(apart, "blade")
+    assert (rigid.frequency**2 < 1e-9 * eigenvalues[3]).all() and (rigid.residual < 1e-12).all()
+    gram = np.array([[a.dot(apart.mass * b) for a in rigid.vectors] for b in rigid.vectors])
+    np.testing.assert_allclose(gram, np.eye(3), atol=1e-12)
+
+
+def test_clamped_body_has_no_rigid_modes():
+    with pytest.raises(ModesError, match='body "disk" is clamped'):
+        rigid_body_modes(assemble(TWO_BLOCKS), "disk")
+
+
+def test_more_modes_than_degrees_of_freedom_are_refused():
+    structure = assemble(TWO_BLOCKS, {"columns": 1, "blade_rows": 1, "disk_rows": 1})
+    with pytest.raises(ModesError, match="17 modes asked for; the matrices have 16"):
+        solve_modes(structure.stiffness, structure.mass, 17)
+
+
+def test_floating_structure_without_shift_is_refused():
+    structure = assemble(TWO_BLOCKS, clamp=())
+    with pytest.raises(ModesError, match="a body floats and the stiffness is singular"):
+        solve_modes(structure.stiffness, structure.mass, 4)
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("quadrilaterals", [True, False])
+def test_static_patch(plane, degree, quadrilaterals):
+    """A linear displacement on skewed elements: inner nodes in balance, exact energy, exact traction on the tip."""
+    structure = assemble(
+        TWO_BLOCKS,
+        {"welded": True, "skew": 0.013, "quadrilaterals": quadrilaterals},
+        degree=degree,
+        plane=plane,
+        thickness=0.02,
+        outputs=[OutputSpec("tip", "tip", (0, 1))],
+    )
+    x, y = structure.space.tabulate_dof_coordinates()[:, :2].T
+    gradient = 1e-3 * np.array([[1.0, 0.4], [-0.2, 0.7]])
+    u = structure.mass.createVecRight()
+    u.array[:] = (np.column_stack([x, y]) @ gradient.T).ravel()
+
+    strain = (gradient + gradient.T) / 2
+    young, poisson = TITANIUM.young, TITANIUM.poisson
+    if plane == "strain":
+        young, poisson = young / (1 - poisson**2), poisson / (1 - poisson)
+    stress = young / (1 - poisson**2) * ((1 - poisson) * strain + poisson * np.trace(strain) * np.eye(2))
+    force = structure.stiffness * u
+    volume = 0.04 * 0.09 * 0.02
+    assert u.dot(force) == pytest.approx((stress * strain).sum() * volume, rel=1e-11)
+    nodal = force.array.reshape(-1, 2)
+    lean = 0.013 / 0.06  # of the blade's left edge
+    left = np.where(y > 0.03, (y - 0.03) * lean, 0)
+    inner = (y > 1e-9) & (y < 0.09 - 1e-9) & (x > left + 1e-9) & (x < left + 0.04 - 1e-9)
+    assert inner.sum() > 50
+    assert np.abs(nodal[inner]).max() < 1e-11 * np.abs(nodal).max()
+    # corner nodes of the tip carry a share of the side's traction as well: leave them out
+    edge = (y > 0.09 - 1e-9) & (x > left + 1e-9) & (x < left + 0.04 - 1e-9)
+    share = structure.outputs["tip"].array.reshape(-1, 2)[edge, 1]
+    np.testing.assert_allclose(nodal[edge], np.outer(share * 0.04 * 0.02, stress[:, 1]), rtol=1e-9)
+
+
+def receptance(structure, transformation, frequencies):
+    """Tip displacement for the tip force, by sparse direct solution of the full model."""
+    mass, damping, stiffness = (
+        transformation.T @ to_scipy(m) @ transformation
+        for m in (structure.mass, structure.damping, structure.stiffness)
+    )
+    force, row = (transformation.T @ v.array for v in (structure.loads[0].vector, structure.outputs["tip"]))
+    omegas = 2 * pi * np.asarray(frequencies)
+    return np.array(
+        [row @ scipy.sparse.linalg.spsolve((stiffness + 1j * w * damping - w**2 * mass).tocsc(), force) for w in omegas]
+    )
+
+
+@pytest.mark.parametrize(
+    "joint, welded, pairs",
+    [
+        ((TWO_BLOCKS, {}), (TWO_BLOCKS, {"welded": True}), 7),
+        ((FIR_TREE, {}), (GEOMETRY / "welded_fir_tree.py", {}), 40),
+    ],
+)
+def test_bonded_pairs_are_one_welded_mesh(joint, welded, pairs):
+    """Tying the nodes of every pair gives the compliance and the modes of the mesh whose nodes were merged."""
+    options = {
+        "damping": ModalRatios((500.0, 3000.0), (0.002, 0.002)),
+        "loads": [EdgeForce("f", "tip", (1.0, 0.3), 1)],
+        "outputs": [OutputSpec("tip", "tip", (1.0, 0.3))],
+    }
+    tied, merged = assemble(*joint, **options), assemble(*welded, **options)
+    interface = pair_interface(tied)
+    assert len(interface.area) == pairs
+    assert tied.mass.getSize()[0] == merged.mass.getSize()[0] + 2 * pairs
+    frequencies = [0.0, 400.0, 1000.0, 2180.0, 5450.0]  # a resonance would magnify rounding by its quality factor
+    identity = scipy.sparse.identity(merged.mass.getSize()[0], format="csc")
+    expected = receptance(
+        merged, identity[:, np.setdiff1d(np.arange(identity.shape[0]), merged.fixed_dofs)], frequencies
+    )
+    found = receptance(tied, to_scipy(tie_pairs(tied, interface)), frequencies)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    modes = full_stick_modes(tied, interface, 4)
+    np.testing.assert_allclose(modes.frequency, solve_modes(*hold_clamp(merged), 4).frequency, rtol=1e-9)
+    for vector in modes.vectors:
+        size = vector.norm()
+        assert (
+            max(abs(interface.normal_gap @ vector.array).max(), abs(interface.tangential_slip @ vector.array).max())
+            < 1e-14 * size
+        )
+        assert abs(vector.array[tied.fixed_dofs]).max() == 0
+
+
+def test_first_full_stick_mode_of_the_default_fir_tree():
+    """1090 Hz within 1 %: the frequency that the geometry was designed for."""
+    structure = assemble(FIR_TREE)
+    assert full_stick_modes(structure, pair_interface(structure), 1).frequency[0] == pytest.approx(1090.0, rel=0.01)

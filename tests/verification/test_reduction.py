@@ -1,0 +1,278 @@
+"""Component mode synthesis against the full model: exact statics, exact with all modes, and the error in between."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse
+import scipy.sparse.linalg
+from mpi4py import MPI
+
+from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.materials import TITANIUM, ModalRatios, PerMode
+from ewr_fenicsx.errors import InterfaceError, ModesError
+from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.reduction import reduce_structure
+
+TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
+FIRST_MODE = 1090.0  # Hz, of the default fir tree in full stick
+
+
+def assemble(source, parameters=None, pull=1000.0, **options):
+    mesh = build_mesh(source, parameters or {}, MPI.COMM_WORLD)
+    loads = [EdgeForce("pull", "tip", (0.0, pull)), EdgeForce("push", "tip", (10.0, 0.0), 1, 0.4)]
+    options = {"damping": ModalRatios((500.0, 3000.0), (0.002, 0.002))} | options
+    structure = assemble_structure(
+        mesh,
+        materials=dict.fromkeys(mesh.bodies, TITANIUM),
+        loads=loads,
+        outputs=[OutputSpec("tip", "tip", (1.0, 0.0))],
+        **options,
+    )
+    return structure, pair_interface(structure)
+
+
+def to_scipy(matrix):
+    rows, columns, values = matrix.getValuesCSR()
+    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
+
+
+def full_matrices(structure, interface):
+    """Sparse M, D, K, dense contact rows, loads and tip row on the free degrees of freedom, and their numbers."""
+    free = np.setdiff1d(np.arange(structure.mass.getSize()[0]), structure.fixed_dofs)
+    mass, damping, stiffness = (
+        to_scipy(m)[free][:, free] for m in (structure.mass, structure.damping, structure.stiffness)
+    )
+    rows = scipy.sparse.vstack([interface.normal_gap, interface.tangential_slip]).tocsc()[:, free].toarray()
+    loads = np.column_stack([load.amplitude * load.vector.array for load in structure.loads])[free]
+    return mass, damping, stiffness, rows, loads, structure.outputs["tip"].array[free], free
+
+
+def reduced_matrices(model):
+    rows = np.vstack([model.normal, model.tangential])
+    return (
+        model.mass,
+        model.damping,
+        model.stiffness,
+        rows,
+        np.column_stack([model.load[0], model.load[1]]),
+        model.outputs["tip"],
+    )
+
+
+def evaluate_compliance(matrices, frequency):
+    """Motion of the pairs, then of the tip, for unit pair forces and for the loads: ``(2 K_c + 1, 2 K_c + 2)``."""
+    mass, damping, stiffness, rows, loads, tip = matrices[:6]
+    omega = 2 * pi * frequency
+    dynamic = stiffness + 1j * omega * damping - omega**2 * mass
+    forces = np.hstack([rows.T, loads])
+    if scipy.sparse.issparse(dynamic):
+        response = scipy.sparse.linalg.splu(dynamic.tocsc()).solve(forces)
+    else:
+        response = np.linalg.solve(dynamic, forces)
+    return np.vstack([rows, tip]) @ response
+
+
+def joint_error(found, expected):
+    """Largest error of the joint compliance ``B (K + i w D - w^2 M)^-1 B^T``, relative to its largest entry."""
+    pairs = expected.shape[0] - 1
+    return np.abs(found - expected)[:pairs, :pairs].max() / np.abs(expected[:pairs, :pairs]).max()
+
+
+def test_compliance_error_falls_with_the_number_of_modes(capsys):
+    """The table of the default fir tree: the default number of modes is within 1e-4 at 1 to 5 times the first mode."""
+    structure, interface = assemble(FIR_TREE)
+    matrices = full_matrices(structure, interface)
+    frequencies = FIRST_MODE * np.arange(1, 6)
+    expected = [evaluate_compliance(matrices, f) for f in frequencies]
+
+    def errors(**choice):
+        reduction = reduce_structure(structure, interface, **choice)
+        model = reduced_matrices(reduction.model)
+        found = [joint_error(evaluate_compliance(model, f), e) for f, e in zip(frequencies, expected, strict=True)]
+        return len(reduction.fixed_interface_frequencies), reduction.fixed_interface_frequencies[-1], found
+
+    table = [errors(modes=count) for count in (2, 5, 10, 20, 40, 80)]
+    default = errors()
+    with capsys.disabled():
+        print(
+            "\nCraig-Bampton, default fir tree: error of the joint compliance at h x 1090 Hz\n"
+            "modes  up to kHz " + "".join(f"     h = {h}" for h in range(1, 6))
+        )
+        for count, highest, row in sorted([*table, default]):
+            print(f"{count:5d} {highest / 1e3:10.1f} " + "".join(f"{e:10.1e}" for e in row))
+    assert max(default[2]) < 1e-4
+    worst = [max(row) for *_, row in table]
+    assert all(fine < coarse for coarse, fine in pairwise(worst)), worst
+    assert worst[0] > 1e-3, "two modes are too few for 5450 Hz; if they were not, this table would prove nothing"
+    assert worst[-1] < 1e-5
+
+
+@pytest.mark.parametrize("modes", [1, 5, None])
+def test_static_response_is_exact_with_any_number_of_modes(modes):
+    """h = 0, the floating blade held at three contact degrees of freedom: pair forces and loads, to rounding."""
+    structure, interface = assemble(FIR_TREE)
+    reduction = reduce_structure(structure, interface, **({} if modes is None else {"modes": modes}))
+    _, _, stiffness, rows, loads, tip, free = full_matrices(structure, interface)
+    _, _, small, small_rows, small_loads, small_tip = reduced_matrices(reduction.model)
+    held = reduction.contact_dofs[[0, 1, 4 * 9 + 1]]  # both of the first blade node, one of the tenth
+    kept = ~np.isin(free, held)
+    coordinates = ~np.isin(np.arange(reduction.model.size), [0, 1, 4 * 9 + 1])
+
+    def respond(stiffness, rows, loads, tip, solve):
+        return np.vstack([rows, tip]) @ solve(stiffness, np.hstack([rows.T, loads.real]))
+
+    expected = respond(
+        stiffness[kept][:, kept].tocsc(),
+        rows[:, kept],
+        loads[kept],
+        tip[kept],
+        lambda k, f: scipy.sparse.linalg.splu(k).solve(f),
+    )
+    found = respond(
+        small[np.ix_(coordinates, coordinates)],
+        small_rows[:, coordinates],
+        small_loads[coordinates],
+        small_tip[coordinates],
+        np.linalg.solve,
+    )
+    scale = np.outer(np.abs(expected).max(axis=1), np.abs(expected).max(axis=0))
+    assert (np.abs(found - expected) / scale * np.abs(expected).max()).max() < 1e-9
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def small_joint(request):
+    """Two blocks, few enough elements to keep every mode."""
+    shape = {"columns": 2, "blade_rows": 3, "disk_rows": 2, "skew": 0.01, "inclination": 20.0}
+    return assemble(TWO_BLOCKS, shape, pull=-1000.0, degree=request.param)
+
+
+def test_with_all_modes_the_reduction_is_exact(small_joint):
+    """Nothing is lost: compliance to 1e-9, and the load vectors find nothing left to add."""
+    structure, interface = small_joint
+    matrices = full_matrices(structure, interface)
+    interior = matrices[0].shape[0] - 4 * len(interface.area)
+    reduction = reduce_structure(structure, interface, modes=interior)
+    assert reduction.model.size == matrices[0].shape[0]
+    for frequency in (500.0, 5000.0, 40000.0):
+        expected = evaluate_compliance(matrices, frequency)
+        found = evaluate_compliance(reduced_matrices(reduction.model), frequency)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        assert joint_error(found, expected) < 1e-9
+
+
+def test_contact_coordinates_are_displacements_of_the_contact_nodes(small_joint):
+    """Expanding a coordinate vector gives it back at the contact nodes, and nothing at the clamp."""
+    structure, interface = small_joint
+    reduction = reduce_structure(structure, interface, modes=3)
+    x = np.random.default_rng(1).normal(size=reduction.model.size)
+    field = reduction.expand(x).x.array
+    np.testing.assert_allclose(field[reduction.contact_dofs], x[: len(reduction.contact_dofs)], rtol=1e-14)
+    np.testing.assert_array_equal(field[structure.fixed_dofs], 0)
+    np.testing.assert_allclose(interface.normal_gap @ field, reduction.model.normal @ x, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(
+        interface.tangential_slip @ field, reduction.model.tangential @ x, rtol=1e-10, atol=1e-12
+    )
+    assert reduction.model.outputs["tip"] @ x == pytest.approx(structure.outputs["tip"].array @ field, rel=1e-10)
+
+
+def test_bonded_static_state_is_the_full_models(small_joint):
+    """The reduced model with the joint bonded, expanded to the mesh, is the sparse static solution."""
+    structure, interface = small_joint
+    reduction = reduce_structure(structure, interface, modes=2)
+    _, _, stiffness, rows, loads, _, free = full_matrices(structure, interface)
+    stuck = scipy.sparse.csc_matrix(scipy.linalg.null_space(rows))
+    expected = stuck @ scipy.sparse.linalg.spsolve((stuck.T @ stiffness @ stuck).tocsc(), stuck.T @ loads[:, 0].real)
+    model = reduction.model
+    small = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
+    x = small @ np.linalg.solve(small.T @ model.stiffness @ small, small.T @ model.load[0].real)
+    np.testing.assert_allclose(reduction.expand(x).x.array[free], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_basis_is_well_conditioned(small_joint):
+    """Modal and load vectors are mass-orthonormal; the static load vectors are independent of the modes."""
+    structure, interface = small_joint
+    reduction = reduce_structure(structure, interface, modes=5)
+    model, contacts = reduction.model, len(reduction.contact_dofs)
+    assert model.size == contacts + 5 + 2
+    np.testing.assert_allclose(model.mass[contacts:, contacts:], np.eye(7), atol=1e-10)
+    for matrix in (model.mass, model.damping, model.stiffness):
+        np.testing.assert_array_equal(matrix, matrix.T)
+    omega = 2 * pi * reduction.fixed_interface_frequencies
+    np.testing.assert_allclose(np.diag(model.stiffness)[contacts : contacts + 5], omega**2, rtol=1e-9)
+    largest = np.abs(model.stiffness).max()
+    assert np.abs(model.stiffness[:contacts, contacts : contacts + 5]).max() < 1e-9 * largest
+
+
+def test_rigid_modes_of_the_floating_blade(small_joint):
+    """Three, without elastic force, and the rigid motion of the whole blade once expanded; the disk is clamped."""
+    structure, interface = small_joint
+    reduction = reduce_structure(structure, interface, modes=2)
+    rigid = reduction.model.rigid_modes
+    assert rigid.shape == (reduction.model.size, 3)
+    force = reduction.model.stiffness @ rigid
+    assert np.abs(force).max() < 1e-9 * np.abs(reduction.model.stiffness).max()
+    # u = (0, 1) on the blade: mass times acceleration of the blade alone
+    body_mass = TITANIUM.density * 0.01 * 0.04 * 0.06
+    for column in rigid[:, :2].T:
+        assert column @ reduction.model.mass @ column == pytest.approx(body_mass, rel=1e-9)
+    assert np.linalg.matrix_rank(rigid) == 3
+
+
+def test_nothing_clamped_leaves_both_bodies_floating():
+    """Six rigid modes of two bodies; three of the bonded joint."""
+    reduction = reduce_structure(*assemble(TWO_BLOCKS, clamp=()), modes=2)
+    assert reduction.model.rigid_modes.shape[1] == 6
+    eigenvalues = reduction.full_stick.frequency**2
+    assert (np.abs(eigenvalues[:3]) < 1e-9 * eigenvalues[3]).all()
+
+
+def test_damping_ratio_per_mode():
+    """Every full-stick mode of the reduced model has the ratio; the matrix is symmetric and positive semidefinite."""
+    structure, interface = assemble(TWO_BLOCKS, damping=PerMode(0.01))
+    model = reduce_structure(structure, interface, modes=6).model
+    stuck = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
+    values, vectors = scipy.linalg.eigh(stuck.T @ model.stiffness @ stuck, stuck.T @ model.mass @ stuck)
+    modal = vectors.T @ stuck.T @ model.damping @ stuck @ vectors
+    np.testing.assert_allclose(np.diag(modal), 2 * 0.01 * np.sqrt(values), rtol=1e-9)
+    assert np.abs(modal - np.diag(np.diag(modal))).max() < 1e-9 * modal.max()
+    assert np.linalg.eigvalsh(model.damping)[0] > -1e-12 * np.abs(model.damping).max()
+
+
+def test_loads_of_one_harmonic_are_summed_with_their_phases():
+    mesh = build_mesh(TWO_BLOCKS, {}, MPI.COMM_WORLD)
+    loads = [EdgeForce("a", "tip", (2.0, 0.0), 1), EdgeForce("b", "tip", (3.0, 0.0), 1, pi / 2)]
+    structure = assemble_structure(
+        mesh,
+        materials=dict.fromkeys(mesh.bodies, TITANIUM),
+        loads=loads,
+        outputs=[OutputSpec("tip", "tip", (1.0, 0.0))],
+    )
+    model = reduce_structure(structure, pair_interface(structure), modes=3).model
+    np.testing.assert_allclose(model.load[1], (2 + 3j) * model.outputs["tip"], rtol=1e-10, atol=1e-14)
+
+
+def test_reduced_full_stick_frequency_is_that_of_the_sparse_matrices():
+    structure, interface = assemble(FIR_TREE)
+    reduction = reduce_structure(structure, interface)
+    model = reduction.model
+    stuck = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
+    values = scipy.linalg.eigh(stuck.T @ model.stiffness @ stuck, stuck.T @ model.mass @ stuck, eigvals_only=True)
+    error = np.sqrt(values[:3]) / (2 * pi) / reduction.full_stick.frequency[:3] - 1
+    assert (np.abs(error) < (1e-8, 1e-7, 1e-5)).all(), error
+
+
+def test_too_many_modes_and_clamped_pairs_are_refused():
+    structure, interface = assemble(TWO_BLOCKS, {"columns": 1, "blade_rows": 1, "disk_rows": 1})
+    with pytest.raises(ModesError, match="modes asked for"):
+        reduce_structure(structure, interface, modes=100)
+    structure, interface = assemble(TWO_BLOCKS, clamp=("clamp", "joint"))
+    with pytest.raises(InterfaceError, match=r'flank "joint": both nodes at .* are clamped'):
+        reduce_structure(structure, interface, modes=3)
