@@ -3,17 +3,20 @@ THREADS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
 export OPENBLAS_NUM_THREADS := $(THREADS)
 export OMP_NUM_THREADS := $(THREADS)
 
-.PHONY: help setup demo test test-all test-trixie clean
+.PHONY: help setup setup-full demo test test-all test-trixie clean
 
 help:
 	@echo 'make demo         install what is missing, solve the blade root, name the files written'
 	@echo 'make test         install what is missing, run the tests'
-	@echo 'make test-all     the slow tests as well'
+	@echo 'make test-all     the slow tests as well, and what they need (ParaView: 200 MB)'
 	@echo 'make test-trixie  make test on Debian 13, in a chroot (as root)'
 	@echo 'make clean        remove .venv and build/'
 
 setup:
 	@tools/setup.sh
+
+setup-full:
+	@tools/setup.sh full
 
 demo: setup
 	.venv/bin/python demos/blade_root.py
@@ -21,7 +24,7 @@ demo: setup
 test: setup
 	.venv/bin/python -m pytest
 
-test-all: setup
+test-all: setup-full
 	.venv/bin/python -m pytest -m 'slow or not slow'
 
 test-trixie:

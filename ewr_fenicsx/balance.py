@@ -99,10 +99,9 @@ class HarmonicBalance:
         coefficients[self.unknown] = unknowns[: self.size - self.rigid] * self.force_unit
         return self.basis.to_amplitudes(coefficients), unknowns[self.size - self.rigid :] * self.length_unit
 
-    def sample(self, forces: ComplexArray, rigid: RealArray, basis: FourierBasis | None = None) -> list[Motion]:
-        """What each law sees over one period, for all laws in turn."""
+    def sample(self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis | None = None) -> list[Motion]:
+        """What each law sees over one period under force and motion amplitudes ``(n_h, m)``, for all laws in turn."""
         basis = basis or self.basis
-        motion = self.compliance.motion(forces, rigid)
         signals = [basis.synthesise(s) for s in (forces, motion, self.rate[:, None] * motion)]
         seen = []
         for law in self.system.laws:
@@ -117,21 +116,33 @@ class HarmonicBalance:
     def residual(self, unknowns: RealArray) -> RealArray:
         """Scaled weighted residual, ``(size,)``."""
         forces, rigid = self.unpack(unknowns)
-        responses = [law.evaluate(seen) for law, seen in zip(self.system.laws, self.sample(forces, rigid))]
+        seen = self.sample(forces, self.compliance.motion(forces, rigid))
+        responses = [law.evaluate(motion) for law, motion in zip(self.system.laws, seen)]
         return self._project(forces, rigid, [r.residual for r in responses])
 
-    def linearise(self, unknowns: RealArray) -> NewtonStep:
-        """Residual and generalised Jacobian at a point."""
+    def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
+        """Residual and generalised Jacobian at a point.
+
+        Args:
+            unknowns: ``(size,)`` scaled.
+            motion: ``(n_h, m)`` motion at which the laws are linearised in place of the one that the forces cause [m]: that
+                of a neighbouring problem, whose pairs' states then guide the first step. The residual is the linearised one.
+        """
         forces, rigid = self.unpack(unknowns)
+        caused = self.compliance.motion(forces, rigid)
         derivatives, residuals = [], []
-        for law, rows, seen in zip(self.system.laws, self.law_rows, self.sample(forces, rigid)):
-            response = law.evaluate(seen)
+        seen = self.sample(forces, caused if motion is None else motion)
+        for law, rows, at in zip(self.system.laws, self.law_rows, seen):
+            response = law.evaluate(at)
             residuals.append(response.residual)
             for variable, direction, values in response.partials:
                 columns = self.system.row_of(direction, law.pairs)
                 if np.all(columns >= 0):  # else it is given, not unknown
                     derivatives.append(Derivative(rows, columns, variable, values))
-        return NewtonStep(self, tuple(derivatives), self._project(forces, rigid, residuals))
+        step = NewtonStep(self, tuple(derivatives), self._project(forces, rigid, residuals))
+        if motion is not None:
+            step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
+        return step
 
     def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
         coefficients = np.empty(self.unknown.shape)
@@ -166,9 +177,13 @@ class NewtonStep:
 
     def multiply(self, direction: RealArray) -> RealArray:
         """``J v`` without forming J, ``(size,)``."""
+        forces, rigid = self.balance.unpack(direction)
+        compliance = self.balance.compliance
+        return self.change(forces, compliance.motion(forces, rigid) - compliance.free_motion, rigid)
+
+    def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
+        """Change of the residual with force and motion amplitudes ``(n_h, m)`` and rigid coordinates ``(r,)``."""
         balance, basis = self.balance, self.balance.basis
-        forces, rigid = balance.unpack(direction)
-        motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
         signals = {
             "force": basis.synthesise(forces),
             "displacement": basis.synthesise(motion),
@@ -177,22 +192,26 @@ class NewtonStep:
         samples = np.zeros((basis.samples, balance.rows))
         for d in self.derivatives:
             samples[:, d.rows] += d.values * signals[d.variable][:, d.columns]
-        return balance._project(forces, rigid, [samples[:, rows] for rows in balance.law_rows]) - balance._project(
-            0 * forces, 0 * rigid, [np.zeros((basis.samples, rows.size)) for rows in balance.law_rows]
-        )
+        coefficients = basis.project(samples)
+        rigid_balance = np.zeros(0)
+        if basis.has_mean:
+            coefficients[0] *= balance.static_row
+            coefficients[0] += balance.static_force_row * forces[0].real + balance.static_displacement_row * motion[0].real
+            rigid_balance = balance.compliance.rigid_motion.T @ forces[0].real
+        return np.concatenate([coefficients[balance.unknown], rigid_balance]) / balance.force_unit
 
-    def matrix(self) -> RealArray:
-        """The whole Jacobian, ``(size, size)``."""
+    def matrix(self, shift: float = 0.0) -> RealArray:
+        """The whole Jacobian, ``(size, size)``, with ``shift`` added on its diagonal, but for mean friction."""
         load = np.zeros(self.balance.unknown.shape)
         nothing = Elimination.of(self.balance, self.derivatives, np.zeros(self.balance.rows, dtype=bool), load)
-        matrix, _ = self._assemble(nothing, load)
+        matrix, _ = self._assemble(nothing, load, shift)
         unknown = self.balance.unknown
         rigid = np.arange(unknown.size, matrix.shape[0])
         rows = np.arange(unknown.size).reshape(unknown.T.shape).T[unknown]
         return matrix[np.ix_(np.concatenate([rows, rigid]), np.concatenate([np.flatnonzero(unknown), rigid]))]
 
-    def solve(self, right_side: RealArray) -> RealArray:
-        """``J^-1 b`` with the steady rows eliminated, ``(size,)``: the same step as with the dense matrix.
+    def solve(self, right_side: RealArray, shift: float = 0.0) -> RealArray:
+        """``(J + shift)^-1 b`` with the steady rows eliminated, ``(size,)``: the same step as with ``matrix(shift)``.
 
         Raises:
             LinAlgError: The Jacobian is singular.
@@ -200,8 +219,8 @@ class NewtonStep:
         balance = self.balance
         load = np.zeros(balance.unknown.shape)
         load[balance.unknown] = right_side[: balance.size - balance.rigid]
-        elimination = Elimination.of(balance, self.derivatives, self.steady, load)
-        matrix, b = self._assemble(elimination, load)
+        elimination = Elimination.of(balance, self.derivatives, self.steady, load, shift)
+        matrix, b = self._assemble(elimination, load, shift)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
         unknown = balance.unknown[:, elimination.mixed]
         rigid = np.ones(balance.rigid, dtype=bool)
@@ -218,8 +237,11 @@ class NewtonStep:
             x[columns] = scipy.linalg.lu_solve((lu, pivots), b, trans=1, check_finite=False)
         return elimination.expand(x)
 
-    def _assemble(self, elimination: Elimination, load: RealArray) -> tuple[RealArray, RealArray]:
-        """Matrix and right side of the mixed rows and the rigid balance; rows (pair, coefficient), columns (coefficient, pair), rigid last."""
+    def _assemble(self, elimination: Elimination, load: RealArray, shift: float) -> tuple[RealArray, RealArray]:
+        """Matrix and right side of the mixed rows and the rigid balance.
+
+        Rows are (pair, coefficient), columns (coefficient, pair), rigid coordinates last.
+        """
         balance, basis = self.balance, self.balance.basis
         mixed, n_c = elimination.mixed, basis.coefficients
         place = np.full(balance.rows, -1)
@@ -228,11 +250,13 @@ class NewtonStep:
         matrix = np.zeros((size + balance.rigid, size + balance.rigid))
         b = np.zeros(size + balance.rigid)
         block = np.zeros((mixed.size, n_c, n_c, mixed.size))
+        pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
+        block[pair, order, order, pair] = shift
         known = load[:, mixed].T.copy()
         toward_rigid = np.zeros((mixed.size, n_c, balance.rigid))
         if basis.has_mean:
-            own = np.arange(mixed.size)
-            block[own, 0, 0, own] += balance.static_force_row[mixed]
+            mean = balance.static_force_row[mixed]  # small: a shift would swamp it
+            block[pair[:, 0], 0, 0, pair[:, 0]] = np.where(mean > 0, mean, shift)
         for d in self.derivatives:
             pick = np.flatnonzero(place[d.rows] >= 0)
             if pick.size == 0:

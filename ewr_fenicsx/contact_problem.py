@@ -28,7 +28,7 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, hol
 from ewr_fenicsx.statics import find_holding
 
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md shows what they do)
-DEFAULT_NORMAL_WEIGHT = 1.0
+DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
 MEAN_FRICTION_REGULARISATION = 1e-4
@@ -44,7 +44,7 @@ class ContactProblem:
         frequency: Excitation frequency [Hz].
         harmonics: Highest harmonic N (0..N are kept) or a list of harmonics.
         samples: Samples a period for the laws; None chooses.
-        rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 1 / static flexibility of each pair.
+        rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.

@@ -20,6 +20,8 @@ from ewr_fenicsx.errors import MeshError, SceneError, nearest
 from ewr_fenicsx.materials import Damping, Material, ModalRatios, PerMode, Rayleigh
 from ewr_fenicsx.mesh import JointMesh
 
+UNDAMPED = Rayleigh()
+
 
 @dataclass(frozen=True)
 class EdgeForce:
@@ -124,7 +126,7 @@ def assemble_structure(
     plane: str = "stress",
     degree: int = 1,
     clamp: Sequence[str] = ("clamp",),
-    damping: Damping = Rayleigh(),
+    damping: Damping = UNDAMPED,
     loads: Sequence[LoadSpec] = (),
     outputs: Sequence[OutputSpec] = (),
 ) -> Structure:

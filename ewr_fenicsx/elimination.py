@@ -101,9 +101,14 @@ class Elimination:
 
     @classmethod
     def of(
-        cls, balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, load: RealArray
+        cls,
+        balance: Equations,
+        derivatives: Sequence[Derivative],
+        steady: np.ndarray,
+        load: RealArray,
+        shift: float = 0.0,
     ) -> Elimination:
-        """Eliminate the rows marked in ``steady`` ``(m,)`` under a right side ``(n_c, m)``."""
+        """Eliminate the rows marked in ``steady`` ``(m,)`` of ``J + shift I`` under a right side ``(n_c, m)``."""
         compliance, basis = balance.compliance, balance.basis
         c, mixed = np.flatnonzero(steady), np.flatnonzero(~steady)
         n_h = len(basis.orders)
@@ -137,6 +142,7 @@ class Elimination:
                 A *= weight[:, None]
                 A[np.arange(c.size), c] += balance.static_force_row[c]
                 toward_rigid *= weight[:, None]
+            A[np.arange(c.size), c] += shift if h else np.where(balance.static_force_row[c] > 0, 0.0, shift)
             solved = np.linalg.solve(A[:, c], np.column_stack([A[:, mixed], right[j], toward_rigid]))
             reaction[j], offset[j] = solved[:, : mixed.size], solved[:, mixed.size]
             if h == 0:

@@ -1,4 +1,4 @@
-"""Fourier basis: between one-sided complex amplitudes and samples over a period, and how a product acts on amplitudes."""
+"""Fourier basis: from one-sided complex amplitudes to samples over a period and back, and products of signals."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class FourierBasis:
 
 
 def sample_amplitudes(amplitudes: Mapping[int, ComplexArray], columns: np.ndarray, samples: int) -> RealArray:
-    """Samples ``(samples, K)`` over a period of given signals, harmonic -> ``(m,)`` amplitudes, at some columns ``(K,)``."""
+    """Samples ``(samples, K)`` of given signals, harmonic -> ``(m,)`` amplitudes, at some columns ``(K,)``."""
     phase = 2j * np.pi * np.arange(samples) / samples
     signal = np.zeros((samples, columns.size))
     for h, amplitude in amplitudes.items():
@@ -148,5 +148,7 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
     if samples is None:
         samples = max(128, 1 << (32 * int(orders[-1]) - 1).bit_length()) if orders[-1] else 1
     if samples <= 2 * orders[-1]:
-        raise ModelError(f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}")
+        raise ModelError(
+            f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}"
+        )
     return FourierBasis(tuple(int(h) for h in orders), int(samples))

@@ -1,4 +1,4 @@
-"""What is read off a periodic solution: sliding and separation, energies, and how far the truncated laws are violated."""
+"""What is read off a periodic solution: sliding, separation, energies, and how far truncation violates the laws."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ def measure_sliding(slip_velocity: RealArray, period: float) -> RealArray:
 
 
 def measure_separation(gap: RealArray) -> RealArray:
-    """Mean gap over a cycle at each pair, ``(K,)`` [m], from gaps ``(n_t, K)``; their mean is the paper's J_N (Eq. 18)."""
+    """Mean gap over a cycle at each pair, ``(K,)`` [m], from gaps ``(n_t, K)``.
+
+    Their mean over pairs is the paper's J_N (Eq. 18).
+    """
     return np.mean(gap, axis=0)
 
 
@@ -32,7 +35,7 @@ def measure_work(force: ComplexArray, motion: ComplexArray, orders: tuple[int, .
 
 
 def measure_cone_violation(friction_force: RealArray, normal_force: RealArray, friction: RealArray) -> float:
-    """How far the friction force leaves the cone, over the largest limit; ``(n_t, K)`` forces, ``(K,)`` coefficients."""
+    """How far the friction force leaves the cone, over the largest limit; forces ``(n_t, K)``, friction ``(K,)``."""
     limit = friction * np.maximum(0.0, normal_force)
     largest = limit.max(initial=0.0)
     return float((np.abs(friction_force) - limit).max(initial=0.0) / largest) if largest > 0 else 0.0

@@ -1,21 +1,24 @@
 """From a geometry builder or a gmsh file to a distributed mesh whose bodies and boundaries carry their names.
 
 A builder is a Python file with ``build(*, parameter: type = default, ...) -> None``: it adds geometry, mesh and
-physical groups to the current gmsh model (``geometry/fir_tree.py`` is one). gmsh runs on rank 0 alone. All checks come
-before dolfinx sees the model: dolfinx 0.5 ends with a segmentation fault on a mesh of triangles and quadrilaterals.
+physical groups to the current gmsh model (``geometry/fir_tree.py`` is one), and may import files beside it. gmsh runs
+on rank 0 alone. All checks come before dolfinx sees the model: dolfinx 0.5 ends with a segmentation fault on a mesh of
+triangles and quadrilaterals.
 """
 
 from __future__ import annotations
 
+import importlib.machinery
 import importlib.util
 import inspect
 import math
 import sys
 import typing
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import dolfinx
 import gmsh
@@ -114,12 +117,7 @@ def _fill_model(source: Path, parameters: Mapping[str, object]) -> None:
             raise MeshError(f"{source}: a mesh file takes no parameters, got {', '.join(parameters)}; remove them")
         gmsh.merge(str(source))
         return
-    name = f"_geometry_{source.stem}"
-    specification = importlib.util.spec_from_file_location(name, source)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module  # dataclasses look up the module that defines them
-    try:
-        specification.loader.exec_module(module)
+    with load_builder(source) as module:
         build = getattr(module, "build", None)
         if not callable(build):
             raise MeshError(f"{source}: no function `build`; a geometry builder defines `def build(*, ...) -> None`")
@@ -128,8 +126,35 @@ def _fill_model(source: Path, parameters: Mapping[str, object]) -> None:
             build(**parameters)
         except ValueError as error:
             raise MeshError(f"{source}: {error}") from error
+
+
+@contextmanager
+def load_builder(source: Path) -> Iterator[ModuleType]:
+    """A builder as a module: it may import files beside it, as a script may, and nothing of it stays loaded.
+
+    No bytecode is written: the folder is the user's.
+
+    Raises:
+        Exception: What the file raises when it is run.
+    """
+    name = f"_geometry_{source.stem}"
+    path, known, mute = list(sys.path), set(sys.modules), sys.dont_write_bytecode
+    specification = importlib.util.spec_from_file_location(name, source)
+    module = importlib.util.module_from_spec(specification)
+    sys.path.insert(0, str(source.parent.resolve()))
+    sys.dont_write_bytecode = True
+    sys.modules[name] = module  # dataclasses look up the module that defines them
+    importlib.invalidate_caches()
+    try:
+        specification.loader.exec_module(module)
+        yield module
     finally:
-        del sys.modules[name]
+        folders = [folder for folder in sys.path if folder not in path]
+        for loaded in set(sys.modules) - known:
+            found = importlib.machinery.PathFinder.find_spec(loaded.partition(".")[0], folders)
+            if loaded == name or (found and found.has_location):
+                del sys.modules[loaded]
+        sys.path[:], sys.dont_write_bytecode = path, mute
 
 
 def _check_parameters(source: Path, build: Callable, parameters: Mapping[str, object]) -> None:
@@ -151,8 +176,13 @@ def _check_parameters(source: Path, build: Callable, parameters: Mapping[str, ob
         if not fits:
             wanted = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}[expected]
             raise MeshError(f"{source}: parameter {name} = {value!r}: expected {wanted}")
-    missing = [name for name, parameter in known.items() if parameter.default is parameter.empty
-               and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL) and name not in parameters]
+    missing = [
+        name
+        for name, parameter in known.items()
+        if parameter.default is parameter.empty
+        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        and name not in parameters
+    ]
     if missing:
         raise MeshError(f"{source}: parameter {missing[0]} has no default; give it a value")
 
@@ -161,8 +191,9 @@ def _inspect_model(source: Path) -> _Inspection:
     """Check the current gmsh model and number its nodes without gaps, as dolfinx needs them."""
     dimension = gmsh.model.getDimension()
     if dimension < 2 or not any(len(tags) for tags in gmsh.model.mesh.getElements(dimension)[1]):
-        raise MeshError(f"{source}: the model has no mesh of surfaces; does the builder call "
-                        "gmsh.model.mesh.generate(2)?")
+        raise MeshError(
+            f"{source}: the model has no mesh of surfaces; does the builder call gmsh.model.mesh.generate(2)?"
+        )
     bodies, boundaries = _name_groups(source, dimension), _name_groups(source, dimension - 1)
     if not bodies:
         raise MeshError(f"{source}: no named body; give each body a physical group of dimension {dimension}")
@@ -174,8 +205,10 @@ def _inspect_model(source: Path) -> _Inspection:
     coordinates = np.empty((len(numbers), 3))
     coordinates[numbers.astype(np.int64) - 1] = positions.reshape(-1, 3)
     if dimension == 2 and np.ptp(coordinates[:, 2]) > 1e-9 * np.ptp(coordinates, axis=0).max():
-        raise MeshError(f"{source}: z runs from {coordinates[:, 2].min()} to {coordinates[:, 2].max()}; "
-                        "a plane mesh lies in the x-y plane")
+        raise MeshError(
+            f"{source}: z runs from {coordinates[:, 2].min()} to {coordinates[:, 2].max()}; "
+            "a plane mesh lies in the x-y plane"
+        )
     shape = _CELL_NAMES[dimension, corners]
     quality = math.inf
     for body, group in bodies.items():
@@ -187,8 +220,10 @@ def _inspect_model(source: Path) -> _Inspection:
             if quality <= 0:
                 middle = coordinates[nodes[worst, :corners]].mean(axis=0)[:dimension]
                 place = ", ".join(f"{value:.6g}" for value in middle)
-                raise MeshError(f'{source}: body "{body}" has a {shape} with a scaled Jacobian of {quality:.3g} at '
-                                f"({place}); expected more than 0: it is inverted, concave or flat")
+                raise MeshError(
+                    f'{source}: body "{body}" has a {shape} with a scaled Jacobian of {quality:.3g} at '
+                    f"({place}); expected more than 0: it is inverted, concave or flat"
+                )
     return _Inspection(dimension, bodies, boundaries, quality)
 
 
@@ -198,11 +233,15 @@ def _name_groups(source: Path, dimension: int) -> dict[str, int]:
     for _, number in gmsh.model.getPhysicalGroups(dimension):
         name = gmsh.model.getPhysicalName(dimension, number)
         if not name:
-            raise MeshError(f"{source}: physical group {number} of dimension {dimension} has no name of its own; "
-                            "give it one with gmsh.model.setPhysicalName")
+            raise MeshError(
+                f"{source}: physical group {number} of dimension {dimension} has no name of its own; "
+                "give it one with gmsh.model.setPhysicalName"
+            )
         if name in groups:
-            raise MeshError(f'{source}: two physical groups of dimension {dimension} are called "{name}", '
-                            f"{groups[name]} and {number}; join them into one")
+            raise MeshError(
+                f'{source}: two physical groups of dimension {dimension} are called "{name}", '
+                f"{groups[name]} and {number}; join them into one"
+            )
         groups[name] = number
     return groups
 
@@ -213,8 +252,10 @@ def _entities(source: Path, dimension: int, groups: Mapping[str, int]) -> dict[i
     for name, number in groups.items():
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, number):
             if entity in owner:
-                raise MeshError(f'{source}: entity {entity} of dimension {dimension} is in "{owner[entity]}" and in '
-                                f'"{name}"; expected one name for each')
+                raise MeshError(
+                    f'{source}: entity {entity} of dimension {dimension} is in "{owner[entity]}" and in '
+                    f'"{name}"; expected one name for each'
+                )
             owner[int(entity)] = name
     return owner
 
@@ -227,8 +268,10 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
         kinds, cells, _ = gmsh.model.mesh.getElements(dimension, entity)
         if entity not in owner:
             if len(kinds):
-                raise MeshError(f"{source}: {sum(map(len, cells))} cells of entity {entity} belong to no body "
-                                f"({', '.join(bodies)}); add the entity to a physical group")
+                raise MeshError(
+                    f"{source}: {sum(map(len, cells))} cells of entity {entity} belong to no body "
+                    f"({', '.join(bodies)}); add the entity to a physical group"
+                )
             continue
         if not len(kinds):
             raise MeshError(f'{source}: body "{owner[entity]}" has no cells in entity {entity}; mesh it or drop it')
@@ -237,8 +280,10 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
     described = {kind: gmsh.model.mesh.getElementProperties(kind) for kind in types}
     if len(types) > 1:
         listing = ", ".join(f'{described[kind][0]} in "{body}"' for kind, body in types.items())
-        raise MeshError(f"{source}: cells of {len(types)} types: {listing}; expected one type in all bodies "
-                        "(Mesh.RecombineAll with Mesh.RecombinationAlgorithm 3, or transfinite surfaces)")
+        raise MeshError(
+            f"{source}: cells of {len(types)} types: {listing}; expected one type in all bodies "
+            "(Mesh.RecombineAll with Mesh.RecombinationAlgorithm 3, or transfinite surfaces)"
+        )
     kind, (label, _, _, nodes, _, corners) = next(iter(described.items()))
     if (dimension, corners) not in _CELL_NAMES:
         raise MeshError(f"{source}: cells are of type {label}; expected one of {', '.join(_CORNERS)}")
@@ -251,17 +296,21 @@ def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], c
     for entity, name in _entities(source, dimension - 1, boundaries).items():
         kinds, _, nodes = gmsh.model.mesh.getElements(dimension - 1, entity)
         if len(kinds) != 1:
-            raise MeshError(f'{source}: boundary "{name}": entity {entity} holds {len(kinds)} types of mesh edges or '
-                            "faces; expected one. Is it the edge of a meshed body?")
+            raise MeshError(
+                f'{source}: boundary "{name}": entity {entity} holds {len(kinds)} types of mesh edges or '
+                "faces; expected one. Is it the edge of a meshed body?"
+            )
         _, _, _, size, _, corners = gmsh.model.mesh.getElementProperties(kinds[0])
         named = np.sort(nodes[0].reshape(-1, size)[:, :corners], axis=1)
         sides = list_facets(cell_kind, *(() if dimension == 2 else (corners,)), primary=True)
         sides = np.sort(np.asarray(sides).reshape(-1, corners), axis=1)
         _, number = np.unique(np.concatenate([sides, named]), axis=0, return_inverse=True)
-        loose = np.count_nonzero(~np.isin(number.ravel()[len(sides):], number.ravel()[:len(sides)]))
+        loose = np.count_nonzero(~np.isin(number.ravel()[len(sides) :], number.ravel()[: len(sides)]))
         if loose:
-            raise MeshError(f'{source}: boundary "{name}": {loose} of {len(named)} facets of entity {entity} belong to '
-                            "no cell; is it the edge of a meshed body?")
+            raise MeshError(
+                f'{source}: boundary "{name}": {loose} of {len(named)} facets of entity {entity} belong to '
+                "no cell; is it the edge of a meshed body?"
+            )
 
 
 def evaluate_scaled_jacobian(corners: np.ndarray, shape: str) -> np.ndarray:

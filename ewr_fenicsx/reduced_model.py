@@ -38,14 +38,14 @@ class ReducedModel:
     Args:
         mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric.
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
-        tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; None for none.
+        tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; or None.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
         pair_area: ``(K_c,)`` tributary area of each pair [m^2]; ones by default.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
         outputs: Name -> ``(n,)`` row of a quantity to follow.
 
     Raises:
-        ModelError: Shapes disagree, a matrix is not finite or not symmetric, or ``rigid_modes`` do not span the null space.
+        ModelError: Shapes disagree, a matrix is not finite or symmetric, or ``rigid_modes`` do not span the null space.
     """
 
     mass: RealArray
@@ -181,7 +181,9 @@ def find_rigid_modes(stiffness: RealArray) -> RealArray:
     values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
     rounding = 100 * n * np.finfo(float).eps * max(values[-1], 1e-300)
     if values[0] < -1e3 * rounding:
-        raise ModelError(f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly")
+        raise ModelError(
+            f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly"
+        )
     return scale[:, None] * vectors[:, values < rounding]
 
 
@@ -227,7 +229,7 @@ def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None
     dense = value.toarray() if scipy.sparse.issparse(value) else value
     matrix = np.array(dense, dtype=float, ndmin=2)
     expected = tuple("any" if s is None else s for s in shape)
-    if matrix.ndim != 2 or any(s is not None and s != got for s, got in zip(shape, matrix.shape)):
+    if matrix.ndim != 2 or any(s is not None and s != got for s, got in zip(shape, matrix.shape, strict=True)):
         raise ModelError(f"{name} has shape {matrix.shape}; expected ({expected[0]}, {expected[1]})")
     if not np.isfinite(matrix).all():
         raise ModelError(f"{name} has entries that are not finite")
@@ -261,7 +263,9 @@ def _load(h, amplitude, size: int) -> ComplexArray:
 def _check_symmetry(name: str, matrix: RealArray) -> None:
     asymmetry = np.abs(matrix - matrix.T).max()
     if asymmetry > _SYMMETRY * np.abs(matrix).max():
-        raise ModelError(f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly")
+        raise ModelError(
+            f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
+        )
 
 
 def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:

@@ -323,8 +323,8 @@ class Scene(Section):
         for name, load in scene.loads.items():
             if load.harmonic not in scene.harmonics:
                 raise SceneError(
-                    f"{name_scene(file)}: solver.harmonics = {list(scene.harmonics)} leave out harmonic {load.harmonic}, "
-                    f'at which the load "{name}" acts; include it'
+                    f"{name_scene(file)}: solver.harmonics = {list(scene.harmonics)} leave out harmonic "
+                    f'{load.harmonic}, at which the load "{name}" acts; include it'
                 )
         scene._file = file
         return scene

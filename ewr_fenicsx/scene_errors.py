@@ -40,11 +40,7 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     kind, message, loc = detail["type"], detail["msg"], detail["loc"]
     if kind == "unknown_key":
         loc = (*loc, detail["ctx"]["key"])
-        homes = [
-            name
-            for name, field in sections.items()
-            if loc[-1] in getattr(field.annotation, "model_fields", {})
-        ]
+        homes = [name for name, field in sections.items() if loc[-1] in getattr(field.annotation, "model_fields", {})]
         if "did you mean" not in message and homes:
             message = f"unknown key here; it belongs to [{homes[0]}]"
     elif kind == "kind":

@@ -125,7 +125,8 @@ class PeriodicSolution:
         system = self.problem.system
         if not system.laws:
             return []
-        seen = HarmonicBalance(system).sample(self.forces, self.rigid, basis)
+        motion = system.compliance.motion(self.forces, self.rigid)
+        seen = HarmonicBalance(system).sample(self.forces, motion, basis)
         return [(law, law.fields(motion)) for law, motion in zip(system.laws, seen)]
 
     @cached_property

@@ -28,7 +28,8 @@ def find_holding(
     Args:
         normal_motion: ``(K, r)`` motion of the normal rows by the rigid modes.
         tangential_motion: ``(K, r)`` motion of the same pairs' tangential rows, zero where a pair has none.
-        smallest, largest: ``(K,)`` bounds of the mean normal force: 0 and inf, -inf where bonded, equal where given [N].
+        smallest: ``(K,)`` least mean normal force: 0, -inf where bonded, ``largest`` where given [N].
+        largest: ``(K,)`` largest mean normal force: inf, or what is given [N].
         friction: ``(K,)`` coefficients of friction, zero where a pair has none.
         rigid_load: ``(r,)`` work of the mean load on the rigid modes [N].
 
@@ -37,7 +38,7 @@ def find_holding(
     """
     r = rigid_load.size
     sees_all = np.linalg.matrix_rank(normal_motion, tol=1e-9 * np.abs(normal_motion).max(initial=1e-300)) == r
-    bounds = list(zip(smallest, largest))
+    bounds = list(zip(smallest, largest, strict=True))
     if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, 0 * friction, rigid_load)[0] <= _BALANCED:
         return "normal"
     rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, rigid_load)
@@ -47,15 +48,17 @@ def find_holding(
         free = np.linalg.svd(seen)[2][-1]
         raise UnheldBody(
             "a floating body can move without any contact noticing: its rigid motion is "
-            f"{np.array2string(free, precision=3)} in the model's rigid modes; add friction, a support or a flank across it"
+            f"{np.array2string(free, precision=3)} in the model's rigid modes; add friction, a support or a flank "
+            "across it"
         )
     if rest > _BALANCED:
         opening = normal_motion @ motion
         worst = np.argsort(-opening)[:3]
         opens = ", ".join(str(k) for k in worst if opening[k] > 0) or "none"
         raise UnheldBody(
-            f"nothing holds a floating body: {rest:.0%} of the mean load stays unbalanced whatever the contact forces; it drives "
-            f"a rigid motion that opens pairs {opens} most; turn the load round, raise the friction, or support the body"
+            f"nothing holds a floating body: {rest:.0%} of the mean load stays unbalanced whatever the contact forces; "
+            f"it drives a rigid motion that opens pairs {opens} most; turn the load round, raise the friction, or "
+            "support the body"
         )
     return "friction"
 
@@ -77,7 +80,9 @@ def _unbalanced(
         cone[rows, rubs] = -friction[rubs]
         cone[rows, k + np.arange(rubs.size)] = sign
     column = -np.ones((r, 1))
-    upper = np.vstack([np.hstack([forces, column]), np.hstack([-forces, column]), np.hstack([cone, np.zeros((len(cone), 1))])])
+    upper = np.vstack(
+        [np.hstack([forces, column]), np.hstack([-forces, column]), np.hstack([cone, np.zeros((len(cone), 1))])]
+    )
     bound = np.concatenate([-rigid_load / size, rigid_load / size, np.zeros(len(cone))])
     bounds = [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * rubs.size + [(0, np.inf)]
     cost = np.zeros(k + rubs.size + 1)

@@ -140,7 +140,7 @@ class TimeScheme:
                 if laws.normal == "prescribed":
                     force = np.maximum(0.0, self.sample(system.prescribed, pairs))
                     self.given_limit[:, tangential] = self.dt * self.friction[tangential] * force
-            order += [row for both in zip(normal, tangential) for row in both if row >= 0]
+            order += [row for both in zip(normal, tangential, strict=True) for row in both if row >= 0]
         self.order = np.array(order, dtype=np.int64)
 
     def sample(self, amplitudes: Mapping[int, ComplexArray], columns: np.ndarray) -> RealArray:

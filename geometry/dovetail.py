@@ -1,7 +1,7 @@
 """A bladed-disk sector whose blade hangs in the disk by a dovetail: one straight flank on each side.
 
-The coordinates and the names are those of ``fir_tree.py``; nothing else is shared. The disk is a straight block, and
-the blade a prism with a trapezoidal foot. Coordinates in m; ``y`` points outwards, ``y = 0`` is the top of the disk.
+The directions and the names are those of ``fir_tree.py``. The disk is a straight block, and the blade a prism with a
+trapezoidal foot. Coordinates in m; ``y`` points outwards, ``y = 0`` is the top of the disk.
 
                 |    |  blade
         ________|____|________  y = 0
@@ -16,11 +16,11 @@ Physical groups: surfaces ``blade`` and ``disk``; curves ``left`` and ``right`` 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import cos, radians, sin, tan
 
-import gmsh
-
-Point = tuple[float, float]
+from blocks import Body, Point, mesh_bodies
+from outlines import count_cells
 
 
 def build(
@@ -70,72 +70,44 @@ def build(
         raise ValueError(f"disk_width = {disk_width}: expected more than {2 * (foot + beyond):.5g}, the slot's width")
     if bottom - clearance <= -disk_height:
         raise ValueError(f"disk_height = {disk_height}: expected more than {clearance - bottom:.5g}, the slot's depth")
-    count = lambda length: max(1, round(length / mesh_size))  # noqa: E731
-    across, aside, contact = count(neck), count(edge - foot), pairs - 1
+    across, aside, contact = count_cells(neck, mesh_size), count_cells(edge - foot, mesh_size), pairs - 1
+    shank, below_root = count_cells(neck_height, mesh_size), count_cells(disk_height + bottom, mesh_size)
     # Rows of blocks, downwards: the outline's upper and lower point, and the cells between them.
     blade = [
-        ((tip, blade_height), (neck, 0.0), count(blade_height)),
-        ((neck, 0.0), (neck, -neck_height), count(neck_height)),
+        ((tip, blade_height), (neck, 0.0), count_cells(blade_height, mesh_size)),
+        ((neck, 0.0), (neck, -neck_height), shank),
         ((neck, -neck_height), (foot, bottom), contact),
     ]
     disk = [
-        ((neck + clearance, 0.0), (neck, -neck_height), count(neck_height)),
+        ((neck + clearance, 0.0), (neck, -neck_height), shank),
         ((neck, -neck_height), (foot, bottom), contact),
         ((foot, bottom), (foot + beyond, bottom - clearance), 1),
-        ((foot + beyond, bottom - clearance), (foot + beyond, -disk_height), count(disk_height + bottom)),
+        ((foot + beyond, bottom - clearance), (foot + beyond, -disk_height), below_root),
     ]
-    surfaces: dict[str, list[int]] = {"blade": [], "disk": []}
     curves: dict[str, list[int]] = {"left": [], "right": [], "clamp": [], "tip": []}
-    for body, rows, columns in (("blade", blade, across), ("disk", disk, aside)):
-        drawn: dict[object, int] = {}
-        far = 0.0 if body == "blade" else edge
+    bodies = Body("blade"), Body("disk")
+    for body, rows, far, columns in zip(bodies, (blade, disk), (0.0, edge), (across, aside), strict=True):
         for side, hand in ((-1, "left"), (1, "right")):
             for upper, lower, cells in rows:
-                corners = [(side * x, y) for x, y in (upper, lower, (far, lower[1]), (far, upper[1]))]
-                surface, sides = _draw_block(corners, (cells, columns, cells, columns), drawn)
-                surfaces[body].append(surface)
+                corners = [upper, lower, (far, lower[1]), (far, upper[1])]
+                outline, _, opposite, top = _draw_block(body, corners, (cells, columns), side)
                 if upper == (neck, -neck_height):
-                    curves[hand].append(sides[0])
-                if body == "disk":
-                    curves["clamp"].append(sides[2])
-            if body == "blade":
-                curves["tip"].append(abs(drawn[(side * tip, blade_height), (0.0, blade_height)]))
-            else:
-                curves["clamp"].append(sides[1])
-                below = [(0.0, bottom - clearance), (0.0, -disk_height), (side * lower[0], lower[1]),
-                         (side * upper[0], upper[1])]
-                surface, sides = _draw_block(below, (cells, across, cells, across), drawn)
-                surfaces[body].append(surface)
-                curves["clamp"].append(sides[1])
-
-    gmsh.model.geo.synchronize()
-    for dimension, groups in ((2, surfaces), (1, curves)):
-        for name, members in groups.items():
-            gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)
-    gmsh.model.mesh.generate(2)
+                    curves[hand].append(outline)
+                if upper == (tip, blade_height):
+                    curves["tip"].append(top)
+                if body.name == "disk":
+                    curves["clamp"].append(opposite)
+            if body.name == "disk":
+                aside_of_bottom = body.curve((side * lower[0], lower[1]), (side * far, lower[1]), columns)
+                below = [(0.0, bottom - clearance), (0.0, -disk_height), lower, upper]
+                curves["clamp"] += [aside_of_bottom, _draw_block(body, below, (cells, across), side)[1]]
+    mesh_bodies(bodies, curves)
 
 
-def _draw_block(corners: list[Point], cells: tuple[int, ...], drawn: dict[object, int]) -> tuple[int, list[int]]:
-    """A transfinite block of quadrilaterals; ``drawn`` holds the body's points and curves, shared by its blocks.
-
-    Returns:
-        Tags of the surface and of its four curves, the first from corner 0 to corner 1.
-    """
-    geo = gmsh.model.geo
-    corners = [(x + 0.0, y) for x, y in corners]  # no negative zero: the axis belongs to both sides
-    for corner in corners:
-        if corner not in drawn:
-            drawn[corner] = geo.addPoint(*corner, 0.0)
-    sides, loop = [], []
-    for start, end, number in zip(corners, corners[1:] + corners[:1], cells):
-        if (start, end) not in drawn:
-            tag = geo.addLine(drawn[start], drawn[end])
-            geo.mesh.setTransfiniteCurve(tag, number + 1)
-            drawn[start, end], drawn[end, start] = tag, -tag
-        loop.append(drawn[start, end])
-        sides.append(abs(drawn[start, end]))
-    clockwise = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, corners[1:] + corners[:1])) < 0
-    surface = geo.addPlaneSurface([geo.addCurveLoop([-tag for tag in loop[::-1]] if clockwise else loop)])
-    geo.mesh.setTransfiniteSurface(surface, cornerTags=[drawn[corner] for corner in corners])
-    geo.mesh.setRecombine(2, surface)
-    return surface, sides
+def _draw_block(body: Body, corners: list[Point], cells: tuple[int, int], side: int) -> list[int]:
+    """One block on the left (-1) or right (1) side; tags of its four curves, the first from corner 0 to corner 1."""
+    corners = [(side * x, y) for x, y in corners]
+    edges = pairwise([*corners, corners[0]])
+    sides = [body.curve(start, end, cells[k % 2]) for k, (start, end) in enumerate(edges)]
+    body.block(corners, sides)
+    return sides

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Installs what is missing: Debian packages, and .venv on Debian's own Python. Takes 0.04 s when all is there.
+# tools/setup.sh full: also what the slow tests need.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -11,6 +12,11 @@ packages=(
     openmpi-bin python3-matplotlib python3-meshio python3-rich python3-pytest python3-hypothesis
     python3-venv ca-certificates gcc libc6-dev
 )
+if [ "${1:-}" = full ]; then
+    packages+=(paraview python3-paraview xvfb xauth) # opens the results, with no display
+    # A second time-stepping code; Debian 13 has none, and its tests are skipped there.
+    ! grep -q '^VERSION_CODENAME=bookworm$' /etc/os-release || packages+=(python3-siconos)
+fi
 
 fail() {
     printf 'setup: %s\n' "$@" >&2

@@ -10,8 +10,8 @@ import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure
-from ewr_fenicsx.materials import TITANIUM, ModalRatios
 from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.materials import TITANIUM, ModalRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.modes import rigid_body_modes
 from ewr_fenicsx.reduction import reduce_structure

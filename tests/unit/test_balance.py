@@ -295,7 +295,7 @@ def test_taylor_remainder_falls_with_the_square_of_the_step(kind):
     balance, x = point.balance, point.unknowns
     step = balance.linearise(x)
     direction = np.random.default_rng(3).normal(size=balance.size) * np.abs(x).max()
-    sizes = 0.01 * 2.0 ** -np.arange(5)
+    sizes = 0.001 * 2.0 ** -np.arange(5)
     remainders = [
         np.linalg.norm(balance.residual(x + size * direction) - step.residual - size * step.multiply(direction))
         for size in sizes

@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure, body_nodes
-from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios, PerMode, Rayleigh
 from ewr_fenicsx.errors import EwrError, MeshError, SceneError
+from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios, PerMode, Rayleigh
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"

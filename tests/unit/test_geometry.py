@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import gmsh
 import numpy as np
 import pytest
 
-from ewr_fenicsx.mesh import evaluate_scaled_jacobian
+from ewr_fenicsx.mesh import evaluate_scaled_jacobian, load_builder
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
 FIR_TREE, DOVETAIL = GEOMETRY / "fir_tree.py", GEOMETRY / "dovetail.py"
@@ -47,20 +45,13 @@ class Plane:
         return edges[where[count == 1]]
 
 
-def load(path: Path):
-    specification = importlib.util.spec_from_file_location(f"built_{path.stem}", path)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[specification.name] = module
-    specification.loader.exec_module(module)
-    return module
-
-
 def mesh_plane(path: Path, parameters: dict) -> Plane:
     gmsh.initialize(["", "-nopopup"], False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("test")
-        load(path).build(**parameters)
+        with load_builder(path) as builder:
+            builder.build(**parameters)
         gmsh.model.mesh.renumberNodes()
         tags, positions, _ = gmsh.model.mesh.getNodes()
         points = np.empty((len(tags), 2))
@@ -76,8 +67,12 @@ def mesh_plane(path: Path, parameters: dict) -> Plane:
             cells[name] = np.concatenate(found)
         edges = {}
         for name, number in groups[1].items():
-            nodes = np.concatenate([gmsh.model.mesh.getElements(1, entity)[2][0].reshape(-1, 2).astype(int) - 1
-                                    for entity in gmsh.model.getEntitiesForPhysicalGroup(1, number)])
+            nodes = np.concatenate(
+                [
+                    gmsh.model.mesh.getElements(1, entity)[2][0].reshape(-1, 2).astype(int) - 1
+                    for entity in gmsh.model.getEntitiesForPhysicalGroup(1, number)
+                ]
+            )
             edges[name] = {body: nodes[np.isin(nodes, cells[body]).all(axis=1)] for body in cells}
         return Plane(points, cells, edges)
     finally:
@@ -120,12 +115,15 @@ def test_cells_are_well_shaped_and_counted_counter_clockwise(plane):
         assert (np.cross(*diagonals) > 0).all(), body
 
 
-@pytest.mark.parametrize("path, parameters, pairs", [
-    (FIR_TREE, {}, 10),
-    (FIR_TREE, {"pairs": 2}, 2),
-    (FIR_TREE, {"pairs": 7, "lobes": 3}, 7),
-    (DOVETAIL, {"pairs": 9}, 9),
-])
+@pytest.mark.parametrize(
+    "path, parameters, pairs",
+    [
+        (FIR_TREE, {}, 10),
+        (FIR_TREE, {"pairs": 2}, 2),
+        (FIR_TREE, {"pairs": 7, "lobes": 3}, 7),
+        (DOVETAIL, {"pairs": 9}, 9),
+    ],
+)
 def test_number_of_pairs_is_the_parameter_on_both_sides(path, parameters, pairs):
     plane = mesh_plane(path, parameters)
     for name, sides in flanks(plane).items():
@@ -232,8 +230,10 @@ def test_sector_is_symmetric_and_stands_on_the_engine_s_axis(default):
     assert tip[0, 1] == default.points[:, 1].max()
 
 
-@pytest.mark.parametrize("lobes, names", [
-    (1, {"left", "right"}), (2, TWO_LOBES), (3, {f"lobe{k}_{hand}" for k in (1, 2, 3) for hand in ("left", "right")})])
+@pytest.mark.parametrize(
+    "lobes, names",
+    [(1, {"left", "right"}), (2, TWO_LOBES), (3, {f"lobe{k}_{hand}" for k in (1, 2, 3) for hand in ("left", "right")})],
+)
 def test_flanks_are_named_after_the_lobes(lobes, names):
     assert set(flanks(mesh_plane(FIR_TREE, {"lobes": lobes}))) == names
 
@@ -244,22 +244,25 @@ def test_same_parameters_give_the_same_mesh(default):
     np.testing.assert_array_equal(again.cells["blade"], default.cells["blade"])
 
 
-@pytest.mark.parametrize("path, parameters, words", [
-    (FIR_TREE, {"blade_height": -1.0}, "blade_height = -1.0: expected a positive number"),
-    (FIR_TREE, {"lobes": 0}, "lobes = 0"),
-    (FIR_TREE, {"clearance": 0.0}, "clearance = 0.0"),
-    (FIR_TREE, {"flank_angle": 5.0}, "flank_angle = 5.0: expected degrees"),
-    (FIR_TREE, {"pairs": 1}, "pairs = 1: expected at least 2"),
-    (FIR_TREE, {"flank_length": 15.0e-3}, "leaves the sector"),
-    (FIR_TREE, {"fillet": 8.0e-3}, "fillet"),
-    (FIR_TREE, {"bottom_neck_width": 60.0e-3}, "turns back|leaves the sector"),
-    (FIR_TREE, {"root_bottom_width": 1.0e-3}, "bottom_fillet"),
-    (FIR_TREE, {"hub_radius": 0.17}, "hub_radius = 0.17: expected less than"),
-    (FIR_TREE, {"platform_width": 0.1}, "platform_width = 0.1: expected"),
-    (DOVETAIL, {"disk_width": 0.02}, "disk_width = 0.02: expected more than"),
-    (DOVETAIL, {"clearance": -1e-4}, "clearance = -0.0001"),
-    (DOVETAIL, {"disk_height": 0.005}, "disk_height = 0.005"),
-])
+@pytest.mark.parametrize(
+    "path, parameters, words",
+    [
+        (FIR_TREE, {"blade_height": -1.0}, "blade_height = -1.0: expected a positive number"),
+        (FIR_TREE, {"lobes": 0}, "lobes = 0"),
+        (FIR_TREE, {"clearance": 0.0}, "clearance = 0.0"),
+        (FIR_TREE, {"flank_angle": 5.0}, "flank_angle = 5.0: expected degrees"),
+        (FIR_TREE, {"pairs": 1}, "pairs = 1: expected at least 2"),
+        (FIR_TREE, {"flank_length": 15.0e-3}, "leaves the sector"),
+        (FIR_TREE, {"fillet": 8.0e-3}, "fillet"),
+        (FIR_TREE, {"bottom_neck_width": 60.0e-3}, "turns back|leaves the sector"),
+        (FIR_TREE, {"root_bottom_width": 1.0e-3}, "bottom_fillet"),
+        (FIR_TREE, {"hub_radius": 0.17}, "hub_radius = 0.17: expected less than"),
+        (FIR_TREE, {"platform_width": 0.1}, "platform_width = 0.1: expected"),
+        (DOVETAIL, {"disk_width": 0.02}, "disk_width = 0.02: expected more than"),
+        (DOVETAIL, {"clearance": -1e-4}, "clearance = -0.0001"),
+        (DOVETAIL, {"disk_height": 0.005}, "disk_height = 0.005"),
+    ],
+)
 def test_impossible_parameters_are_refused_by_name(path, parameters, words):
     with pytest.raises(ValueError, match=words):
         mesh_plane(path, parameters)

@@ -11,9 +11,9 @@ import pytest
 from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import assemble_structure, body_nodes, boundary_facets
-from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.errors import InterfaceError
 from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"

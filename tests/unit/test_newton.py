@@ -12,7 +12,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged, UnheldBody
-from ewr_fenicsx.newton import prolong, run_newton
+from ewr_fenicsx.newton import carry_over, run_newton
 
 PROBLEMS = {
     "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
@@ -191,7 +191,7 @@ def test_a_start_is_prolonged_or_cut(harmonics):
     solution = solve(PROBLEMS["lift-off"])
     problem = replace(solution.problem, harmonics=harmonics)
     balance = HarmonicBalance(problem.system)
-    forces, _ = balance.unpack(prolong(solution, balance))
+    forces, _, _ = carry_over(solution, balance)
     for j, h in enumerate(problem.basis.orders):
         np.testing.assert_allclose(forces[j], solution.forces[h] if h < 10 else 0.0, atol=1e-14)
     assert solve(problem, start=solution).converged

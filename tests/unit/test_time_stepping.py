@@ -9,7 +9,7 @@ import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_stepping
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.time_integration import SteadyState, State, integrate, resample
+from ewr_fenicsx.time_integration import State, SteadyState, integrate, resample
 from ewr_fenicsx.time_stepping import TimeScheme
 
 

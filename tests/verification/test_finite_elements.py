@@ -14,9 +14,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
-from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.modes import full_stick_modes, rigid_body_modes, solve_modes, tie_pairs
 

@@ -14,9 +14,9 @@ import scipy.sparse.linalg
 from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
-from ewr_fenicsx.materials import TITANIUM, ModalRatios, PerMode
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.materials import TITANIUM, ModalRatios, PerMode
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.reduction import reduce_structure
 

@@ -174,7 +174,7 @@ def test_two_mass_oscillator_agrees_with_the_harmonic_solver(preload, shake, bet
         errors[N] = np.linalg.norm(first(harmonic) - first(stepped)) / np.linalg.norm(first(stepped))
     assert errors[15] < 2.5e-3
     assert errors[15] < errors[3] / 20
-    for name, limit in (("normal_force", 0.02), ("friction_force", 0.025), ("slip", 0.005), ("slip_velocity", 0.04)):
+    for name, limit in (("normal_force", 0.02), ("friction_force", 0.025), ("slip", 0.005), ("slip_velocity", 0.065)):
         ours, theirs = stepped.history(name, 256), harmonic.history(name, 256)
         assert np.sqrt(np.mean((ours - theirs) ** 2) / np.mean(ours**2)) < limit, name
 

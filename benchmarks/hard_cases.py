@@ -1,0 +1,424 @@
+"""How many hard cases the contact solver solves: cold start, nothing tuned by case.
+
+Three models: the demo's blade root (40 pairs, floating), a dovetail of trusses (6 pairs, floating) and a bolted lap joint
+of two beams (7 pairs, nothing floats). The dimensions are those of ``DIMENSIONS``; a case takes one level of each.
+The full factorial has millions of cases, so a sample is drawn: in every dimension, all levels come equally often
+(Latin hypercube), with a fixed seed. Degenerate cases come on top, by name.
+
+A case counts as solved when the solver says so, its residual as evaluated anew is below 1e-8, and everything in the
+solution is finite. It counts as failed when the solver says so or has not come back after ``--cap`` seconds of work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from statistics import mean, median
+
+import numpy as np
+import scipy.linalg
+from models import blade_root, damp, dovetail, find_first_mode, lap_joint
+from reporting import describe_machine, print_table, write_json
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import EwrError, NotConverged
+
+TOLERANCE = 1e-8
+MODELS: dict[str, Callable[[], ReducedModel]] = {"blade root": blade_root, "dovetail": dovetail, "lap joint": lap_joint}
+
+DIMENSIONS: dict[str, tuple] = {
+    # over the first full-stick mode: its 3:1 and 2:1 sub-harmonics, the resonance and its flanks, beyond
+    "frequency": (0.3, 1 / 3, 0.5, 0.7, 0.85, 0.95, 1.0, 1.05, 1.2, 1.5, 2.0, 3.0),
+    # harmonic over mean contact forces (norms over all pairs) of the full-stick solution: "reached" at that frequency and
+    # damping, from stick to flanks that lift off; "applied" as if the load were static, resonance comes on top
+    "load": (
+        *(("reached", share) for share in (0.01, 0.1, 0.3, 1.0, 3.0)),
+        *(("applied", share) for share in (0.01, 0.03, 0.1, 0.3)),
+    ),
+    "friction": (0.01, 0.05, 0.2, 0.6, 1.0, 1.5),
+    "harmonics": (1, 3, 5, 9, 15, 31),
+    "damping": (1e-4, 1e-3, 5e-3, 2e-2, 5e-2),
+    # in units of the mean elastic approach under the preload; closed half of the time
+    "gap": ("closed", "closed", "closed", "even", "random", "half open"),
+    # over the defaults, one or both a thousandfold either way
+    "rho": ((1, 1), (1, 1), (1, 1), (1e3, 1), (1e-3, 1), (1, 1e3), (1, 1e-3), (1e3, 1e3), (1e-3, 1e-3)),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One hard case: a model and a level of each dimension."""
+
+    model: str
+    frequency: float
+    load: tuple[str, float]
+    friction: float
+    harmonics: int
+    damping: float
+    gap: str
+    rho: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """The case in one line."""
+        return (
+            f"{self.model}: {self.frequency:.3g} f1, load {self.load[0]} {self.load[1]:g}, mu {self.friction:g}, "
+            f"N {self.harmonics}, damping {self.damping:g}, gap {self.gap}, rho x ({self.rho[0]:g}, {self.rho[1]:g})"
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case.
+
+    ``status``: "converged", "not converged" (the solver said so), "given up" (the cap), or "wrong" (it said converged, or
+    raised, where that is not so).
+    """
+
+    name: str
+    status: str
+    reason: str
+    residual: float
+    steps: int
+    fallbacks: int
+    seconds: float
+    energy_error: float | None = None
+
+
+class CapReached(Exception):
+    """A case has used up its time."""
+
+
+def draw_cases(model: str, count: int, seed: int) -> list[Case]:
+    """A sample with every level of every dimension equally often, up to rounding."""
+    rng = np.random.default_rng(seed)
+    columns = {}
+    for name, levels in DIMENSIONS.items():
+        rounds = -(-count // len(levels))
+        order = np.concatenate([rng.permutation(len(levels)) for _ in range(rounds)])[:count]
+        columns[name] = [levels[i] for i in rng.permutation(order)]
+    return [Case(model, **{name: column[i] for name, column in columns.items()}) for i in range(count)]
+
+
+@lru_cache(maxsize=32)
+def prepare_model(name: str, damping: float) -> tuple[ReducedModel, float]:
+    """The damped model and its first full-stick mode [Hz]; few enough to keep."""
+    model = damp(MODELS[name](), damping)
+    return model, find_first_mode(model)
+
+
+def pose_case(case: Case) -> ContactProblem:
+    """The contact problem of a case; everything is scaled by what the model itself says."""
+    model, first = prepare_model(case.model, case.damping)
+    frequency = case.frequency * first
+    kind, share = case.load
+    # quasi-static means far below the first mode
+    reference = ContactProblem(model, ContactLaws(), frequency if kind == "reached" else 1e-3 * first, 1)
+    forces, _ = HarmonicBalance(reference.system).full_stick
+    factor = share * np.linalg.norm(forces[0]) / np.linalg.norm(forces[1])
+    model = replace(model, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
+    flexibility = reference.system.flexibility
+    approach = float(np.mean(np.abs(forces[0, : model.pairs])) * np.mean(flexibility[: model.pairs]))
+    gap = approach * {
+        "closed": np.zeros(model.pairs),
+        "even": np.full(model.pairs, 0.5),
+        "random": np.random.default_rng(model.pairs).uniform(0.0, 1.0, model.pairs),
+        "half open": np.where(np.arange(model.pairs) < model.pairs // 2, 1.0, 0.0),
+    }[case.gap]
+    problem = ContactProblem(model, ContactLaws(friction=case.friction, initial_gap=gap), frequency, case.harmonics)
+    if case.rho == (1, 1):
+        return problem
+    normal, tangential = (law.rho for law in problem.system.laws)
+    return replace(problem, rho_normal=case.rho[0] * normal, rho_tangential=case.rho[1] * tangential)
+
+
+def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outcome:
+    """Solve a case cold, and look at what came back."""
+    begin = time.perf_counter()
+    steps = 0
+    linearise = HarmonicBalance.linearise
+
+    def count(self, unknowns):
+        nonlocal steps
+        steps += 1
+        if time.perf_counter() - begin > cap:
+            raise CapReached
+        return linearise(self, unknowns)
+
+    tell = lambda status, reason, residual=np.nan, fallbacks=0, energy=None: Outcome(  # noqa: E731
+        name, status, reason, residual, steps, fallbacks, time.perf_counter() - begin, energy
+    )
+    HarmonicBalance.linearise = count
+    try:
+        problem = pose()
+        begin = time.perf_counter()
+        solution = solve(replace(problem), tolerance=TOLERANCE)
+    except NotConverged as error:
+        best = error.best
+        rungs = "; ".join(best.fallbacks)
+        told = bool(best.reason) and np.all(np.isfinite(best.forces))
+        return tell("not converged" if told else "wrong", f"{best.reason} [{rungs}]", best.residual, len(best.fallbacks))
+    except CapReached:
+        return tell("given up", f"no answer within {cap:g} s")
+    except EwrError as error:  # nothing here may be refused: all bodies are held
+        return tell("wrong", f"{type(error).__name__}: {error}")
+    finally:
+        HarmonicBalance.linearise = linearise
+    seconds = time.perf_counter() - begin
+    outcome = judge(solution)
+    return replace(tell(*outcome, fallbacks=len(solution.fallbacks)), steps=solution.iterations, seconds=seconds)
+
+
+def judge(solution) -> tuple[str, str, float]:
+    """Status, reason and residual of what ``solve`` returned; the residual evaluated anew, from the forces alone."""
+    problem = replace(solution.problem)
+    balance = HarmonicBalance(problem.system)
+    residual = float(np.linalg.norm(balance.residual(balance.pack(solution.forces, solution.rigid))))
+    finite = all(np.all(np.isfinite(a)) for a in (solution.forces, solution.rigid, solution.output("tip")))
+    if not finite:
+        return "wrong", "the solution has entries that are not finite", residual
+    if not solution.converged or not residual <= 1.01 * TOLERANCE:
+        return "wrong", f"called converged ({solution.reason}) with residual {residual:.1e}", residual
+    return "converged", solution.reason, residual
+
+
+# Degenerate cases, by name. Each builds its problem.
+
+
+def _dovetail(harmonics: int = 5, friction: float = 0.3, frequency: float = 360.0, **laws) -> ContactProblem:
+    return ContactProblem(dovetail(), ContactLaws(friction=friction, **laws), frequency, harmonics)
+
+
+def just_touch() -> ContactProblem:
+    """The lightest pair of the lap joint, which nothing presses and no load opens: closed at zero force at rest."""
+    model = lap_joint()
+    bolts = ContactProblem(model, ContactLaws(), 1.0, 1)
+    forces, _ = HarmonicBalance(bolts.system).full_stick
+    press = forces[0].real[: model.pairs].copy()
+    press[:-1] = 0.0  # take the last pair's bolt off
+    return replace(bolts, load={**model.load, 0: model.load[0] + model.normal.T @ press}, frequency=330.0, harmonics=9)
+
+
+def just_lift() -> ContactProblem:
+    """The full-stick normal force of one pair touches zero once a period."""
+    model = lap_joint()
+    problem = ContactProblem(model, ContactLaws("unilateral", "bonded"), 200.0, 9)
+    forces, _ = HarmonicBalance(problem.system).full_stick
+    factor = np.min(forces[0].real / np.abs(forces[1]))
+    return replace(problem, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
+
+
+def meet_friction_limit() -> ContactProblem:
+    """The full-stick friction force of one pair touches its limit exactly, and goes no further."""
+    model = lap_joint()
+    laws = ContactLaws("prescribed", normal_force=100.0, friction=0.3)
+    problem = ContactProblem(model, laws, 200.0, 5)
+    forces, _ = HarmonicBalance(problem.system).full_stick
+    factor = 30.0 / np.max(np.abs(forces[1]))
+    return replace(problem, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
+
+
+def repeat_rows(model: ReducedModel, times: int | Sequence[int]) -> ReducedModel:
+    """The same model with each of its pairs several times."""
+    return replace(
+        model,
+        normal=np.repeat(model.normal, times, axis=0),
+        tangential=np.repeat(model.tangential, times, axis=0),
+        pair_area=np.repeat(model.pair_area, times),
+    )
+
+
+def spread_areas(ratio: float) -> ContactProblem:
+    """Rows scaled as if tributary areas spanned ``ratio``: preloads and flexibilities of pairs span as much."""
+    model = lap_joint()
+    area = np.geomspace(1.0, ratio, model.pairs)
+    area *= model.pair_area.sum() / area.sum()
+    bolts = 700.0 * area / area.sum()
+    load = {**model.load, 0: -model.normal.T @ bolts}
+    return ContactProblem(replace(model, pair_area=area, load=load), ContactLaws(friction=0.3), 330.0, 5)
+
+
+def stiffen_pairs(condition: float) -> ContactProblem:
+    """Two bodies held by springs from soft to stiff: the contact compliance has the condition number asked for."""
+    pairs = 8
+    stiffness = 1e6 * np.geomspace(1.0, condition, pairs)
+    matrix = np.kron(np.diag(stiffness), np.eye(2))
+    mass = matrix / (2 * np.pi * 500.0) ** 2 * np.repeat(np.linspace(1.0, 2.0, pairs), 2)
+    normal, tangential = np.kron(np.eye(pairs), [[0.0, 1.0]]), np.kron(np.eye(pairs), [[1.0, 0.0]])
+    forced = np.tile([0.6, 0.4j], pairs)
+    model = ReducedModel(
+        mass=mass,
+        damping=1e-2 * matrix / (2 * np.pi * 500.0),
+        stiffness=matrix,
+        normal=normal,
+        tangential=tangential,
+        load={0: np.tile([0.0, -1.0], pairs), 1: forced},
+        outputs={"tip": np.eye(2 * pairs)[0]},
+    )
+    return ContactProblem(model, ContactLaws(friction=0.3), 200.0, 5)
+
+
+def press_one_pair(pairs: int) -> ContactProblem:
+    """A massless foot on springs under a mass, with its pair once or many times over: the pairs share one motion."""
+    stiffness = np.array([[2.0, 0.4, -1.0, -0.4], [0.4, 2.7, -0.4, -1.2], [-1.0, -0.4, 1.1, 0.4], [-0.4, -1.2, 0.4, 1.4]])
+    mass = np.diag([1.0, 1.0, 0.0, 0.0])
+    one = ReducedModel(
+        mass=mass,
+        damping=0.03 * (stiffness + mass),
+        stiffness=stiffness,
+        normal=[[0.0, 0.0, 0.0, 1.0]],
+        tangential=[[0.0, 0.0, 1.0, 0.0]],
+        load={0: [0.0, 0.0, 0.0, -1.0], 1: [1.6, 1j, 0.0, 0.0]},
+        outputs={"tip": [1.0, 0.0, 0.0, 0.0]},
+    )
+    return ContactProblem(repeat_rows(one, pairs), ContactLaws(friction=0.3), 0.2, 5 if pairs == 1 else 1)
+
+
+def release_held_body(load: complex) -> ContactProblem:
+    """The lap joint without its bolts: both beams are clamped, nothing presses the pairs."""
+    model = lap_joint(excitation=load)
+    return ContactProblem(model, ContactLaws(friction=0.3), 330.0, 5, load={1: model.load[1]})
+
+
+DEGENERATE: dict[str, Callable[[], ContactProblem]] = {
+    "a pair just touches at rest": just_touch,
+    "a pair is just about to lift off": just_lift,
+    "friction limit met exactly": meet_friction_limit,
+    "zero excitation": lambda: replace(_dovetail(), load={0: dovetail().load[0]}),
+    "zero excitation, zero preload": lambda: replace(_dovetail(), load={}),
+    "zero preload, body held, shaken": lambda: release_held_body(5.0),
+    "zero preload, body held, barely shaken": lambda: release_held_body(1e-9),
+    "redundant pairs": lambda: ContactProblem(repeat_rows(dovetail(), 2), ContactLaws(friction=0.3), 360.0, 5),
+    "one pair of six twice": lambda: ContactProblem(
+        repeat_rows(dovetail(), [1, 2, 1, 1, 1, 1]), ContactLaws(friction=0.3), 360.0, 5
+    ),
+    "compliance condition 1e10": lambda: stiffen_pairs(1e10),
+    "areas spanning 1e4": lambda: spread_areas(1e4),
+    "one pair": lambda: press_one_pair(1),
+    "one thousand identical pairs": lambda: press_one_pair(1000),
+    "no friction at all": lambda: _dovetail(friction=0.0),
+}
+
+
+def run_sampled(argument: tuple[Case, float]) -> Outcome:
+    """One case of the sample, as a task of a pool."""
+    case, cap = argument
+    return run_case(case.name, lambda: pose_case(case), cap)
+
+
+def run_degenerate(argument: tuple[str, float]) -> Outcome:
+    """One degenerate case, as a task of a pool."""
+    name, cap = argument
+    return run_case(name, DEGENERATE[name], cap)
+
+
+def run_all(task: Callable, arguments: Sequence, jobs: int) -> Iterator[Outcome]:
+    """Outcomes in the order of the arguments."""
+    if jobs == 1:
+        yield from map(task, arguments)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:  # MPI and PETSc do not survive a fork
+        yield from pool.imap(task, arguments)
+
+
+def count_up(outcomes: Sequence[Outcome]) -> list[object]:
+    """Cases, converged, its share, Newton steps (mean, median, max of those converged), fallbacks, seconds."""
+    solved = [o for o in outcomes if o.status == "converged"]
+    steps = [o.steps for o in solved] or [0]
+    times = [o.seconds for o in outcomes]
+    return [
+        len(outcomes),
+        len(solved),
+        100 * len(solved) / len(outcomes),
+        float(mean(steps)),
+        float(median(steps)),
+        max(steps),
+        sum(o.fallbacks > 0 for o in outcomes),
+        float(mean(times)),
+        max(times),
+    ]
+
+
+HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "with fallbacks", "mean s", "max s"]
+
+
+def tabulate(cases: Sequence[Case], outcomes: Sequence[Outcome]) -> dict[str, list[list[object]]]:
+    """Rows by model, and by level of every dimension."""
+    tables = {"model": [[name, *count_up(picked)] for name in MODELS if (picked := _pick(cases, outcomes, "model", name))]}
+    tables["model"].append(["all", *count_up(outcomes)])
+    for dimension, levels in DIMENSIONS.items():
+        tables[dimension] = [
+            [_label(level), *count_up(picked)]
+            for level in dict.fromkeys(levels)
+            if (picked := _pick(cases, outcomes, dimension, level))
+        ]
+    return tables
+
+
+def _pick(cases: Sequence[Case], outcomes: Sequence[Outcome], dimension: str, level: object) -> list[Outcome]:
+    return [o for c, o in zip(cases, outcomes, strict=True) if getattr(c, dimension) == level]
+
+
+def _label(level: object) -> str:
+    return " ".join(_label(part) for part in level) if isinstance(level, tuple) else level if isinstance(level, str) else f"{level:.3g}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=108, help="sampled cases a model [108]")
+    parser.add_argument("--full", action="store_true", help="1080 sampled cases a model")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS), help="which models [all]")
+    parser.add_argument("--seed", type=int, default=1, help="of the sample [1]")
+    parser.add_argument("--cap", type=float, default=60.0, help="seconds after which a case is given up [60]")
+    parser.add_argument("--jobs", type=int, default=1, help="processes [1]")
+    parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/hard_cases.json]")
+    parser.add_argument("--progress", action="store_true", help="print each case as it ends")
+    arguments = parser.parse_args()
+    machine = describe_machine()
+    count = 1080 if arguments.full else arguments.cases
+    cases = [case for i, name in enumerate(arguments.models) for case in draw_cases(name, count, arguments.seed + i)]
+    begin = time.perf_counter()
+    outcomes = []
+    for outcome in run_all(run_sampled, [(case, arguments.cap) for case in cases], arguments.jobs):
+        outcomes.append(outcome)
+        if arguments.progress:
+            print(f"{outcome.status:14s} {outcome.steps:5d} steps {outcome.seconds:7.2f} s  {outcome.name}", flush=True)
+    degenerate = list(run_all(run_degenerate, [(name, arguments.cap) for name in DEGENERATE], arguments.jobs))
+    spent = time.perf_counter() - begin
+    tables = tabulate(cases, outcomes)
+    for dimension, rows in tables.items():
+        print_table(f"By {dimension}", [dimension, *HEADER], rows)
+    print_table(
+        "Degenerate cases",
+        ["case", "status", "steps", "fallbacks", "residual", "s"],
+        [[o.name, o.status, o.steps, o.fallbacks, o.residual, o.seconds] for o in degenerate],
+    )
+    failures = [o for o in [*outcomes, *degenerate] if o.status != "converged"]
+    print(f"\n{len(failures)} failures" + (":" if failures else ""))
+    for o in failures:
+        print(f"  {o.status}: {o.name}\n      residual {o.residual:.1e}, {o.steps} steps, {o.seconds:.1f} s: {o.reason}")
+    print(f"\n{len(cases)} sampled and {len(degenerate)} degenerate cases in {spent:.0f} s")
+    write_json(
+        "hard_cases",
+        {
+            "machine": machine,
+            "seed": arguments.seed,
+            "cap_seconds": arguments.cap,
+            "columns": HEADER,
+            "tables": tables,
+            "degenerate": [asdict(o) for o in degenerate],
+            "failures": [asdict(o) for o in failures],
+            "seconds": spent,
+        },
+        arguments.output,
+    )
+
+
+if __name__ == "__main__":
+    main()

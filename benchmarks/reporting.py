@@ -1,0 +1,67 @@
+"""How the benchmarks report: what the machine was like, a table on the screen, the same numbers as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+RESULTS = Path(__file__).resolve().parent / "results"
+THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def describe_machine() -> dict[str, object]:
+    """Cores, BLAS threads, load average and versions: printed first, so that a disturbed run shows."""
+    cores = len(os.sched_getaffinity(0))
+    threads = next((int(os.environ[name]) for name in THREAD_VARIABLES if os.environ.get(name, "").isdigit()), cores)
+    machine = {
+        "cores": cores,
+        "blas_threads": threads,
+        "load_average": [round(load, 2) for load in os.getloadavg()],
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+    print(
+        f"{cores} cores, {threads} BLAS threads, load average {' '.join(f'{load:.2f}' for load in machine['load_average'])}"
+        f" (1, 5, 15 min), numpy {np.__version__}, scipy {scipy.__version__}"
+    )
+    return machine
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """A table with its columns aligned: words to the left, numbers to the right."""
+    text = [[_show(cell) for cell in row] for row in rows]
+    widths = [max(len(line[i]) for line in [list(header), *text]) for i in range(len(header))]
+    numeric = [bool(rows) and all(not isinstance(row[i], str) for row in rows) for i in range(len(header))]
+    print(f"\n{title}")
+    for line in [list(header), ["-" * width for width in widths], *text]:
+        print("  ".join(c.rjust(w) if right else c.ljust(w) for c, w, right in zip(line, widths, numeric, strict=True)).rstrip())
+
+
+def _show(cell: object) -> str:
+    if isinstance(cell, float):
+        return f"{cell:.3g}"
+    return "" if cell is None else str(cell)
+
+
+def write_json(name: str, content: dict[str, object], path: Path | None = None) -> Path:
+    """Write results to ``benchmarks/results/<name>.json`` or to a path of the user's choice."""
+    path = path or RESULTS / f"{name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1, default=_plain) + "\n", encoding="utf-8")
+    print(f"\nwrote {path}")
+    return path
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")

@@ -1,0 +1,147 @@
+"""Hard cases, cold: each ends in a solution or says why not; nearly all converge; degenerate ones by name."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import PeriodicSolution, solve
+from ewr_fenicsx.balance import HarmonicBalance
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import hard_cases  # noqa: E402
+from hard_cases import DEGENERATE, draw_cases, run_case, run_sampled  # noqa: E402
+
+MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
+
+
+@lru_cache(maxsize=None)
+def solve_degenerate(name: str) -> PeriodicSolution:
+    """Solved once for all tests that look at it."""
+    return solve(DEGENERATE[name]())
+
+
+def run_sample(counts: dict[str, int], cap: float) -> list[hard_cases.Outcome]:
+    cases = [case for seed, (name, count) in enumerate(counts.items(), 101) for case in draw_cases(name, count, seed)]
+    return [run_sampled((case, cap)) for case in cases]
+
+
+def describe(outcomes: list[hard_cases.Outcome]) -> str:
+    return "\n".join(f"{o.status}: {o.name}: {o.reason}" for o in outcomes)
+
+
+def check_outcomes(outcomes: list[hard_cases.Outcome], share: float, steps: float) -> None:
+    """Every case ends with a solution or a reason; at least ``share`` with a solution, in ``steps`` steps on average."""
+    odd = [o for o in outcomes if o.status not in ("converged", "not converged")]
+    assert not odd, describe(odd)
+    unexplained = [o for o in outcomes if o.status == "not converged" and not (o.reason and np.isfinite(o.residual))]
+    assert not unexplained, describe(unexplained)
+    solved = [o for o in outcomes if o.status == "converged"]
+    assert max(o.residual for o in solved) <= 1.01 * hard_cases.TOLERANCE
+    failed = [o for o in outcomes if o.status != "converged"]
+    assert len(solved) >= share * len(outcomes), describe(failed)
+    assert np.mean([o.steps for o in solved]) <= steps
+
+
+def test_a_small_sample():
+    check_outcomes(run_sample({"blade root": 12, "dovetail": 24, "lap joint": 24}, cap=20.0), share=0.98, steps=15.0)
+
+
+@pytest.mark.slow
+def test_a_large_sample():
+    check_outcomes(run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0), share=0.995, steps=15.0)
+
+
+def test_the_sample_has_every_level_equally_often():
+    cases = draw_cases("dovetail", 36, seed=5)
+    assert cases == draw_cases("dovetail", 36, seed=5) != draw_cases("dovetail", 36, seed=6)
+    for name, levels in hard_cases.DIMENSIONS.items():
+        seen = [getattr(case, name) for case in cases]
+        for level in set(levels):
+            assert abs(seen.count(level) - 36 * levels.count(level) / len(levels)) < 2, (name, level)
+
+
+def test_a_case_that_takes_too_long_is_given_up():
+    outcome = run_sampled((replace(draw_cases("dovetail", 1, seed=1)[0], load=("reached", 3.0), friction=0.05), 0.0))
+    assert (outcome.status, outcome.steps) == ("given up", 1)
+    assert HarmonicBalance.linearise.__name__ == "linearise"  # the counter is gone
+
+
+# Degenerate cases
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n == MANY else ()) for n in DEGENERATE])
+def test_degenerate_cases_are_solved(name):
+    outcome = run_case(name, DEGENERATE[name], cap=120.0)
+    assert outcome.status == "converged", outcome.reason
+    assert outcome.residual <= 1.01 * hard_cases.TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["a pair is just about to lift off", "friction limit met exactly"])
+def test_limits_met_exactly_change_nothing(name):
+    """The full-stick solution still holds where a pair touches the edge of its law once a period."""
+    solution = solve_degenerate(name)
+    stick, _ = HarmonicBalance(solution.problem.system).full_stick
+    np.testing.assert_allclose(solution.forces, stick, atol=1e-7 * np.abs(stick).max())
+    still = solution.history("slip") if "friction" in name else solution.history("gap")
+    moved = solution.coordinates[1]
+    assert np.abs(still - still[0]).max() < 1e-7 * np.abs(moved).max()
+
+
+def test_a_pair_that_just_touches_can_lift():
+    """Nothing presses the last pair at rest; shaken, it opens and closes within the truncation."""
+    solution = solve_degenerate("a pair just touches at rest")
+    gap, force = solution.history("gap")[:, -1], solution.history("normal_force")
+    scale = np.abs(gap).max()
+    assert scale > 0 and gap.min() > -0.3 * scale and force[:, -1].min() > -0.05 * force.max()
+    assert np.any(gap > 0.5 * scale) and np.any(force[:, -1] > 0.01 * force.max())
+
+
+def test_without_excitation_nothing_moves():
+    solution = solve_degenerate("zero excitation")
+    assert np.abs(solution.forces[1:]).max() < 1e-9 * np.abs(solution.forces[0]).max()
+    assert solution.history("normal_force").min() > 0
+    idle = solve_degenerate("zero excitation, zero preload")
+    assert np.all(idle.forces == 0.0) and np.all(idle.history("gap") == 0.0)
+
+
+def test_without_preload_the_answer_scales_with_the_load():
+    """No length, no force in the problem but the load: a shake of nanonewtons has the same shape as one of newtons."""
+    strong, weak = (solve_degenerate(f"zero preload, body held, {word}") for word in ("shaken", "barely shaken"))
+    np.testing.assert_allclose(weak.forces * 5e9, strong.forces, atol=1e-6 * np.abs(strong.forces).max())
+    assert strong.merit["energy_error"] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["redundant pairs", "one pair of six twice"])
+def test_redundant_pairs_share_what_one_would_carry(name):
+    single = solve(replace(hard_cases._dovetail(), rho_normal=None))
+    double = solve_degenerate(name)
+    np.testing.assert_allclose(
+        double.output("tip"), single.output("tip"), atol=2e-2 * np.abs(single.output("tip")).max()
+    )
+    total = double.pair_forces["normal"][0].real.sum()
+    assert total == pytest.approx(single.pair_forces["normal"][0].real.sum(), rel=1e-2)
+
+
+def test_a_stiff_pair_weighs_no_more_than_a_soft_one():
+    """Pairs that share nothing, with stiffnesses over ten decades: all answer alike, each in its own scale."""
+    solution = solve_degenerate("compliance condition 1e10")
+    H = solution.problem.system.compliance.flexibility[0]
+    assert np.linalg.cond(H) > 0.9e10
+    forces = solution.pair_forces["normal"]
+    assert np.all(np.isfinite(forces)) and forces[0].real == pytest.approx(np.full(8, forces[0, 0].real), rel=0.5)
+
+
+@pytest.mark.slow
+def test_a_thousand_identical_pairs_act_as_one():
+    many = solve_degenerate(MANY)
+    one = solve(replace(DEGENERATE["one pair"](), harmonics=1))
+    np.testing.assert_allclose(many.output("tip"), one.output("tip"), atol=1e-6 * np.abs(one.output("tip")).max())
+    total = many.pair_forces["normal"].sum(axis=1)
+    np.testing.assert_allclose(total, one.pair_forces["normal"][:, 0], atol=1e-6 * np.abs(total).max())

@@ -1,0 +1,85 @@
+"""Hard cases in other units take exactly the same steps, fallbacks included.
+
+The new units are powers of four of the old, so that a change of units rounds nothing: any difference would come from a
+number in the code that has a unit. (tests/unit/test_newton.py has millimetres and tonnes, on easy cases.)
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ContactProblem, solve
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from hard_cases import DEGENERATE, draw_cases, pose_case  # noqa: E402
+
+# length, mass and time in new units, over those in old ones: about mm, t, s; mm, kg, ms; and something silly
+UNITS = {"mm, t, s": (1024.0, 1 / 1024, 1.0), "mm, kg, ms": (1024.0, 1.0, 1024.0), "silly": (4.0**-9, 4.0**6, 4.0**4)}
+
+
+def change_units(problem: ContactProblem, length: float, mass: float, time: float) -> ContactProblem:
+    """The same problem told in other units."""
+    model, laws = problem.model, problem.laws
+    force = mass * length / time**2
+    scaled = lambda value, factor: None if value is None else factor * np.asarray(value)  # noqa: E731
+    loads = lambda load: None if load is None else {h: force * np.asarray(f) for h, f in load.items()}  # noqa: E731
+    model = replace(
+        model,
+        mass=model.mass * mass,
+        damping=model.damping * (mass / time),
+        stiffness=model.stiffness * (mass / time**2),
+        load=loads(model.load),
+        pair_area=model.pair_area * length**2,
+    )
+    return replace(
+        problem,
+        model=model,
+        laws=replace(laws, initial_gap=length * np.asarray(laws.initial_gap), normal_force=scaled(laws.normal_force, force)),
+        frequency=problem.frequency / time,
+        rho_normal=scaled(problem.rho_normal, mass / time**2),
+        rho_tangential=scaled(problem.rho_tangential, time / mass),
+        load=loads(problem.load),
+    )
+
+
+def compare(problem: ContactProblem, units: tuple[float, float, float]) -> None:
+    length, mass, time = units
+    first = solve(problem, raise_on_failure=False)
+    second = solve(change_units(problem, *units), raise_on_failure=False)
+    assert (second.iterations, second.converged, second.reason) == (first.iterations, first.converged, first.reason)
+    assert second.fallbacks == first.fallbacks
+    assert second.residual == pytest.approx(first.residual, rel=1e-6)
+    force = mass * length / time**2
+    np.testing.assert_allclose(second.forces, force * first.forces, atol=1e-9 * force * np.abs(first.forces).max(initial=0))
+    np.testing.assert_allclose(
+        second.output("tip"), length * first.output("tip"), atol=1e-9 * length * np.abs(first.output("tip")).max()
+    )
+
+
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize(("model", "seed"), [("dovetail", 11), ("lap joint", 12)])
+def test_sampled_hard_cases(model, seed, units):
+    cases = [replace(case, harmonics=min(case.harmonics, 9)) for case in draw_cases(model, 6, seed)]
+    for case in cases:
+        compare(pose_case(case), UNITS[units])
+
+
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "a pair just touches at rest",
+        "friction limit met exactly",
+        "zero preload, body held, barely shaken",
+        "redundant pairs",
+        "compliance condition 1e10",
+    ],
+)
+def test_degenerate_cases(name, units):
+    compare(DEGENERATE[name](), UNITS[units])
