@@ -1,7 +1,7 @@
 """How many hard cases the contact solver solves: cold start, nothing tuned by case.
 
-Three models: the demo's blade root (40 pairs, floating), a dovetail of trusses (6 pairs, floating) and a bolted lap joint
-of two beams (7 pairs, nothing floats). The dimensions are those of ``DIMENSIONS``; a case takes one level of each.
+Three models: the demo's blade root (40 pairs, floating), a dovetail of trusses (6 pairs, floating) and a bolted lap
+joint of two beams (7 pairs, nothing floats). The dimensions are those of ``DIMENSIONS``; a case: a level of each.
 The full factorial has millions of cases, so a sample is drawn: in every dimension, all levels come equally often
 (Latin hypercube), with a fixed seed. Degenerate cases come on top, by name.
 
@@ -21,7 +21,6 @@ from pathlib import Path
 from statistics import mean, median
 
 import numpy as np
-import scipy.linalg
 from models import blade_root, damp, dovetail, find_first_mode, lap_joint
 from reporting import describe_machine, print_table, write_json
 
@@ -35,8 +34,8 @@ MODELS: dict[str, Callable[[], ReducedModel]] = {"blade root": blade_root, "dove
 DIMENSIONS: dict[str, tuple] = {
     # over the first full-stick mode: its 3:1 and 2:1 sub-harmonics, the resonance and its flanks, beyond
     "frequency": (0.3, 1 / 3, 0.5, 0.7, 0.85, 0.95, 1.0, 1.05, 1.2, 1.5, 2.0, 3.0),
-    # harmonic over mean contact forces (norms over all pairs) of the full-stick solution: "reached" at that frequency and
-    # damping, from stick to flanks that lift off; "applied" as if the load were static, resonance comes on top
+    # harmonic over mean contact forces (norms over all pairs) of the full-stick solution: "reached" at that frequency
+    # and damping, from stick to flanks that lift off; "applied" as if the load were static, resonance comes on top
     "load": (
         *(("reached", share) for share in (0.01, 0.1, 0.3, 1.0, 3.0)),
         *(("applied", share) for share in (0.01, 0.03, 0.1, 0.3)),
@@ -77,8 +76,8 @@ class Case:
 class Outcome:
     """What became of a case.
 
-    ``status``: "converged", "not converged" (the solver said so), "given up" (the cap), or "wrong" (it said converged, or
-    raised, where that is not so).
+    ``status``: "converged", "not converged" (the solver said so), "given up" (the cap), or "wrong" (it said
+    converged, or raised, where that is not so).
     """
 
     name: str
@@ -88,7 +87,6 @@ class Outcome:
     steps: int
     fallbacks: int
     seconds: float
-    energy_error: float | None = None
 
 
 class CapReached(Exception):
@@ -125,12 +123,15 @@ def pose_case(case: Case) -> ContactProblem:
     model = replace(model, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
     flexibility = reference.system.flexibility
     approach = float(np.mean(np.abs(forces[0, : model.pairs])) * np.mean(flexibility[: model.pairs]))
-    gap = approach * {
-        "closed": np.zeros(model.pairs),
-        "even": np.full(model.pairs, 0.5),
-        "random": np.random.default_rng(model.pairs).uniform(0.0, 1.0, model.pairs),
-        "half open": np.where(np.arange(model.pairs) < model.pairs // 2, 1.0, 0.0),
-    }[case.gap]
+    gap = (
+        approach
+        * {
+            "closed": np.zeros(model.pairs),
+            "even": np.full(model.pairs, 0.5),
+            "random": np.random.default_rng(model.pairs).uniform(0.0, 1.0, model.pairs),
+            "half open": np.where(np.arange(model.pairs) < model.pairs // 2, 1.0, 0.0),
+        }[case.gap]
+    )
     problem = ContactProblem(model, ContactLaws(friction=case.friction, initial_gap=gap), frequency, case.harmonics)
     if case.rho == (1, 1):
         return problem
@@ -151,8 +152,8 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
             raise CapReached
         return linearise(self, unknowns)
 
-    tell = lambda status, reason, residual=np.nan, fallbacks=0, energy=None: Outcome(  # noqa: E731
-        name, status, reason, residual, steps, fallbacks, time.perf_counter() - begin, energy
+    tell = lambda status, reason, residual=np.nan, fallbacks=0: Outcome(  # noqa: E731
+        name, status, reason, residual, steps, fallbacks, time.perf_counter() - begin
     )
     HarmonicBalance.linearise = count
     try:
@@ -163,7 +164,9 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
         best = error.best
         rungs = "; ".join(best.fallbacks)
         told = bool(best.reason) and np.all(np.isfinite(best.forces))
-        return tell("not converged" if told else "wrong", f"{best.reason} [{rungs}]", best.residual, len(best.fallbacks))
+        return tell(
+            "not converged" if told else "wrong", f"{best.reason} [{rungs}]", best.residual, len(best.fallbacks)
+        )
     except CapReached:
         return tell("given up", f"no answer within {cap:g} s")
     except EwrError as error:  # nothing here may be refused: all bodies are held
@@ -266,7 +269,9 @@ def stiffen_pairs(condition: float) -> ContactProblem:
 
 def press_one_pair(pairs: int) -> ContactProblem:
     """A massless foot on springs under a mass, with its pair once or many times over: the pairs share one motion."""
-    stiffness = np.array([[2.0, 0.4, -1.0, -0.4], [0.4, 2.7, -0.4, -1.2], [-1.0, -0.4, 1.1, 0.4], [-0.4, -1.2, 0.4, 1.4]])
+    stiffness = np.array(
+        [[2.0, 0.4, -1.0, -0.4], [0.4, 2.7, -0.4, -1.2], [-1.0, -0.4, 1.1, 0.4], [-0.4, -1.2, 0.4, 1.4]]
+    )
     mass = np.diag([1.0, 1.0, 0.0, 0.0])
     one = ReducedModel(
         mass=mass,
@@ -350,7 +355,9 @@ HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "with fallba
 
 def tabulate(cases: Sequence[Case], outcomes: Sequence[Outcome]) -> dict[str, list[list[object]]]:
     """Rows by model, and by level of every dimension."""
-    tables = {"model": [[name, *count_up(picked)] for name in MODELS if (picked := _pick(cases, outcomes, "model", name))]}
+    tables = {
+        "model": [[name, *count_up(picked)] for name in MODELS if (picked := _pick(cases, outcomes, "model", name))]
+    }
     tables["model"].append(["all", *count_up(outcomes)])
     for dimension, levels in DIMENSIONS.items():
         tables[dimension] = [
@@ -366,7 +373,13 @@ def _pick(cases: Sequence[Case], outcomes: Sequence[Outcome], dimension: str, le
 
 
 def _label(level: object) -> str:
-    return " ".join(_label(part) for part in level) if isinstance(level, tuple) else level if isinstance(level, str) else f"{level:.3g}"
+    return (
+        " ".join(_label(part) for part in level)
+        if isinstance(level, tuple)
+        else level
+        if isinstance(level, str)
+        else f"{level:.3g}"
+    )
 
 
 def main() -> None:
@@ -402,7 +415,9 @@ def main() -> None:
     failures = [o for o in [*outcomes, *degenerate] if o.status != "converged"]
     print(f"\n{len(failures)} failures" + (":" if failures else ""))
     for o in failures:
-        print(f"  {o.status}: {o.name}\n      residual {o.residual:.1e}, {o.steps} steps, {o.seconds:.1f} s: {o.reason}")
+        print(
+            f"  {o.status}: {o.name}\n      residual {o.residual:.1e}, {o.steps} steps, {o.seconds:.1f} s: {o.reason}"
+        )
     print(f"\n{len(cases)} sampled and {len(degenerate)} degenerate cases in {spent:.0f} s")
     write_json(
         "hard_cases",

@@ -47,11 +47,32 @@ def lap_joint(*, pairs: int = 7, preload: float = 700.0, excitation: complex = 5
     young, density, width, height, length, elements = 210e9, 7850.0, 0.02, 0.006, 0.2, 12
     area, inertia, h = width * height, width * height**3 / 12, length / elements
     axial = young * area / h * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    bending = young * inertia / h**3 * np.array(
-        [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2], [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+    bending = (
+        young
+        * inertia
+        / h**3
+        * np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h**2, -6 * h, 2 * h**2],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h**2, -6 * h, 4 * h**2],
+            ]
+        )
     )
-    swing = density * area * h / 420 * np.array(
-        [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h**2, 13 * h, -3 * h**2], [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h**2, -22 * h, 4 * h**2]]
+    swing = (
+        density
+        * area
+        * h
+        / 420
+        * np.array(
+            [
+                [156, 22 * h, 54, -13 * h],
+                [22 * h, 4 * h**2, 13 * h, -3 * h**2],
+                [54, 13 * h, 156, -22 * h],
+                [-13 * h, -3 * h**2, -22 * h, 4 * h**2],
+            ]
+        )
     )
     stretch = density * area * h / 6 * np.array([[2.0, 1.0], [1.0, 2.0]])
     dofs = 3 * (elements + 1)  # of one beam: u, w, rotation at every node
@@ -101,6 +122,6 @@ def find_first_mode(model: ReducedModel) -> float:
 
 
 def damp(model: ReducedModel, ratio: float) -> ReducedModel:
-    """The model with Rayleigh damping: ``ratio`` at the first full-stick mode, half of it from mass and stiffness each."""
+    """The model with Rayleigh damping: ``ratio`` at the first full-stick mode, half of it from the mass."""
     omega = 2 * np.pi * find_first_mode(model)
     return replace(model, damping=ratio * (omega * model.mass + model.stiffness / omega))

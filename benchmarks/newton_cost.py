@@ -38,7 +38,7 @@ def measure_best(run, repeats: int) -> tuple[float, object]:
 
 
 def measure_frequency(model: ReducedModel, frequency: float, harmonics: int, friction: float, repeats: int) -> dict:
-    """Times of a cold, a warm and a dense solve at one frequency [s]; everything but the model's modes is built anew."""
+    """Times of a cold, a warm and a dense solve at one frequency [s]; all but the model's modes is built anew."""
     pose = lambda f: ContactProblem(model, ContactLaws(friction=friction), f, harmonics)  # noqa: E731
     neighbour = solve(pose(0.99 * frequency), raise_on_failure=False)
     cold_time, cold = measure_best(lambda: solve(pose(frequency), raise_on_failure=False), repeats)
@@ -151,19 +151,26 @@ def summarise(measured: list[dict]) -> list[list[object]]:
                 steps = [median(m[key] for m in of_n) for key in ("warm_steps", "cold_steps")]
                 goal = TARGETS.get(n, {"warm": None, "cold": None})
                 rows.append(
-                    [n, label, len(of_n), of_n[0]["unknowns"], 1e3 * middle[0], middle[1], goal["warm"], middle[2], goal["cold"]]
-                    + [*worst, *steps, sum(not m["converged"] for m in of_n)]
+                    [
+                        *(n, label, len(of_n), of_n[0]["unknowns"], 1e3 * middle[0]),
+                        *(middle[1], goal["warm"], middle[2], goal["cold"], *worst, *steps),
+                        sum(not m["converged"] for m in of_n),
+                    ]
                 )
     return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--harmonics", type=int, nargs="+", default=[5, 15], metavar="N", help="highest harmonics [5 15]")
+    parser.add_argument(
+        "--harmonics", type=int, nargs="+", default=[5, 15], metavar="N", help="highest harmonics [5 15]"
+    )
     parser.add_argument("--frequencies", type=int, default=21, metavar="COUNT", help="points from 500 to 1500 Hz [21]")
     parser.add_argument("--load", type=float, default=1.0, help="shaking load over the demo's [1]")
     parser.add_argument("--friction", type=float, default=0.2, help="friction coefficient [0.2]")
-    parser.add_argument("--repeats", type=int, default=3, help="runs of each measurement, of which the shortest counts [3]")
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="runs of each measurement, of which the shortest counts [3]"
+    )
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/newton_cost.json]")
     arguments = parser.parse_args()
     machine = describe_machine()
@@ -182,7 +189,9 @@ def main() -> None:
     keys += ("warm", "cold", "warm_steps", "cold_steps", "warm_fallbacks", "cold_fallbacks", "converged")
     header = ["N", "Hz", "steady", "dense s", "compose s", "warm s", "cold s", "warm", "cold", "w steps", "c steps"]
     header += ["w rungs", "c rungs", "converged"]
-    print_table("Each frequency: times, and times over one dense solve", header, [[m[key] for key in keys] for m in measured])
+    print_table(
+        "Each frequency: times, and times over one dense solve", header, [[m[key] for key in keys] for m in measured]
+    )
     summary = summarise(measured)
     header = ["N", "frequencies", "count", "unknowns", "dense ms", "warm", "to reach", "cold", "to reach"]
     header += ["worst warm", "worst cold", "w steps", "c steps", "failed"]
@@ -201,7 +210,10 @@ def main() -> None:
             "machine": machine,
             "load_factor": arguments.load,
             "friction": arguments.friction,
-            "medians": [dict(zip([*header[:6], "warm target", "cold", "cold target", *header[9:]], row)) for row in summary],
+            "medians": [
+                dict(zip([*header[:6], "warm target", "cold", "cold target", *header[9:]], row, strict=True))
+                for row in summary
+            ],
             "points": measured,
             "breakdown": parts,
         },

@@ -28,7 +28,7 @@ def describe_machine() -> dict[str, object]:
         "scipy": scipy.__version__,
     }
     print(
-        f"{cores} cores, {threads} BLAS threads, load average {' '.join(f'{load:.2f}' for load in machine['load_average'])}"
+        f"{cores} cores, {threads} BLAS threads, load average {' '.join(map(str, machine['load_average']))}"
         f" (1, 5, 15 min), numpy {np.__version__}, scipy {scipy.__version__}"
     )
     return machine
@@ -41,7 +41,11 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
     numeric = [bool(rows) and all(not isinstance(row[i], str) for row in rows) for i in range(len(header))]
     print(f"\n{title}")
     for line in [list(header), ["-" * width for width in widths], *text]:
-        print("  ".join(c.rjust(w) if right else c.ljust(w) for c, w, right in zip(line, widths, numeric, strict=True)).rstrip())
+        print(
+            "  ".join(
+                c.rjust(w) if right else c.ljust(w) for c, w, right in zip(line, widths, numeric, strict=True)
+            ).rstrip()
+        )
 
 
 def _show(cell: object) -> str:

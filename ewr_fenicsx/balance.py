@@ -39,7 +39,7 @@ class HarmonicBalance:
         self.rigid = system.compliance.rigid_motion.shape[1]
         self.law_rows = [system.index[law.direction][law.pairs] for law in system.laws]
         self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
-        for law, rows in zip(system.laws, self.law_rows):
+        for law, rows in zip(system.laws, self.law_rows, strict=True):
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
             self.static_displacement_row[rows] = law.static_displacement_row
         self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
@@ -56,16 +56,19 @@ class HarmonicBalance:
         shift = np.diag(REDUNDANCY * self.system.flexibility)
         for j, h in enumerate(self.basis.orders):
             if h:
-                forces[j] = scipy.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
+                forces[j] = np.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
         if self.basis.has_mean:
             target = np.full(self.rows, np.nan)
-            for law, rows in zip(self.system.laws, self.law_rows):
+            for law, rows in zip(self.system.laws, self.law_rows, strict=True):
                 target[rows] = np.nan if law.static_target is None else law.static_target
             held = np.flatnonzero(np.isfinite(target))
             unit = np.mean(self.system.flexibility)
             G = compliance.rigid_motion[held]
             saddle = np.block(
-                [[(compliance.flexibility[0].real + shift)[np.ix_(held, held)] / unit, G], [G.T, np.zeros((self.rigid,) * 2)]]
+                [
+                    [(compliance.flexibility[0].real + shift)[np.ix_(held, held)] / unit, G],
+                    [G.T, np.zeros((self.rigid,) * 2)],
+                ]
             )
             motion = target[held] - compliance.free_motion[0].real[held]
             solution = np.linalg.lstsq(saddle, np.concatenate([motion / unit, -compliance.rigid_load]), rcond=1e-13)[0]
@@ -117,7 +120,7 @@ class HarmonicBalance:
         """Scaled weighted residual, ``(size,)``."""
         forces, rigid = self.unpack(unknowns)
         seen = self.sample(forces, self.compliance.motion(forces, rigid))
-        responses = [law.evaluate(motion) for law, motion in zip(self.system.laws, seen)]
+        responses = [law.evaluate(motion) for law, motion in zip(self.system.laws, seen, strict=True)]
         return self._project(forces, rigid, [r.residual for r in responses])
 
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
@@ -125,14 +128,15 @@ class HarmonicBalance:
 
         Args:
             unknowns: ``(size,)`` scaled.
-            motion: ``(n_h, m)`` motion at which the laws are linearised in place of the one that the forces cause [m]: that
-                of a neighbouring problem, whose pairs' states then guide the first step. The residual is the linearised one.
+            motion: ``(n_h, m)`` motion at which the laws are linearised in place of the one that the forces cause [m]:
+                that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
+                linearised one.
         """
         forces, rigid = self.unpack(unknowns)
         caused = self.compliance.motion(forces, rigid)
         derivatives, residuals = [], []
         seen = self.sample(forces, caused if motion is None else motion)
-        for law, rows, at in zip(self.system.laws, self.law_rows, seen):
+        for law, rows, at in zip(self.system.laws, self.law_rows, seen, strict=True):
             response = law.evaluate(at)
             residuals.append(response.residual)
             for variable, direction, values in response.partials:
@@ -146,7 +150,7 @@ class HarmonicBalance:
 
     def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
         coefficients = np.empty(self.unknown.shape)
-        for rows, residual in zip(self.law_rows, residuals):
+        for rows, residual in zip(self.law_rows, residuals, strict=True):
             coefficients[:, rows] = self.basis.project(residual)
         balance = np.zeros(0)
         if self.basis.has_mean:
@@ -175,6 +179,16 @@ class NewtonStep:
             changes[d.rows] |= np.any(d.values != d.values[0], axis=0)
         return ~changes
 
+    @cached_property
+    def shift_weight(self) -> RealArray:
+        """``(m,)`` share of a diagonal shift that each row takes: less where the law barely answers to its motion."""
+        system, answer = self.balance.system, np.zeros(self.balance.rows)
+        for d in self.derivatives:
+            if d.variable != "force":
+                rate = system.compliance.omega if d.variable == "velocity" else 1.0
+                np.maximum.at(answer, d.rows, rate * np.abs(d.values).max(axis=0) * system.flexibility[d.columns])
+        return np.where(answer > 0, np.minimum(1.0, answer), 1.0)
+
     def multiply(self, direction: RealArray) -> RealArray:
         """``J v`` without forming J, ``(size,)``."""
         forces, rigid = self.balance.unpack(direction)
@@ -196,7 +210,9 @@ class NewtonStep:
         rigid_balance = np.zeros(0)
         if basis.has_mean:
             coefficients[0] *= balance.static_row
-            coefficients[0] += balance.static_force_row * forces[0].real + balance.static_displacement_row * motion[0].real
+            coefficients[0] += (
+                balance.static_force_row * forces[0].real + balance.static_displacement_row * motion[0].real
+            )
             rigid_balance = balance.compliance.rigid_motion.T @ forces[0].real
         return np.concatenate([coefficients[balance.unknown], rigid_balance]) / balance.force_unit
 
@@ -219,7 +235,7 @@ class NewtonStep:
         balance = self.balance
         load = np.zeros(balance.unknown.shape)
         load[balance.unknown] = right_side[: balance.size - balance.rigid]
-        elimination = Elimination.of(balance, self.derivatives, self.steady, load, shift)
+        elimination = Elimination.of(balance, self.derivatives, self.steady, load, shift * self.shift_weight)
         matrix, b = self._assemble(elimination, load, shift)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
         unknown = balance.unknown[:, elimination.mixed]
@@ -230,7 +246,7 @@ class NewtonStep:
             matrix, b = matrix[np.ix_(rows, columns)], b[rows]
         x = np.zeros(columns.size)
         if b.size:
-            # LAPACK reads the row-major matrix as its transpose: factor that in place, and solve with it transposed back
+            # LAPACK reads the row-major matrix as its transpose: factor that in place, solve with it transposed back
             lu, pivots, failed = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
             if failed:
                 raise np.linalg.LinAlgError("the Newton matrix is singular")
@@ -251,12 +267,13 @@ class NewtonStep:
         b = np.zeros(size + balance.rigid)
         block = np.zeros((mixed.size, n_c, n_c, mixed.size))
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
-        block[pair, order, order, pair] = shift
+        weighted = shift * self.shift_weight[mixed]
+        block[pair, order, order, pair] = weighted[:, None]
         known = load[:, mixed].T.copy()
         toward_rigid = np.zeros((mixed.size, n_c, balance.rigid))
         if basis.has_mean:
             mean = balance.static_force_row[mixed]  # small: a shift would swamp it
-            block[pair[:, 0], 0, 0, pair[:, 0]] = np.where(mean > 0, mean, shift)
+            block[pair[:, 0], 0, 0, pair[:, 0]] = np.where(mean > 0, mean, weighted)
         for d in self.derivatives:
             pick = np.flatnonzero(place[d.rows] >= 0)
             if pick.size == 0:

@@ -149,7 +149,7 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
             if name not in known:
                 raise SceneError(
                     f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
-                    f"for a {what}{nearest(name, known)}; it has {', '.join(sorted(known)) or 'none'}"
+                    f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{nearest(name, known)}"
                 )
 
 

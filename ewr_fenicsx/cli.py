@@ -20,13 +20,14 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ewr_fenicsx.effects import list_effects
-from ewr_fenicsx.errors import EwrError
+from ewr_fenicsx.errors import EwrError, UnheldBody
 from ewr_fenicsx.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
     from ewr_fenicsx.chain import Chain
+    from ewr_fenicsx.interface import Interface
 
 # How long a failed rank waits for the others to fail as well before it stops them [s]
 PATIENCE = 2.0
@@ -82,7 +83,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         watch = Stopwatch(progress)
-        with watch.stage("solve"):
+        with watch.stage("solve"), name_place(scene, chain.interface):
             solution = solve(pose_problem(scene, chain.reduction.model), tolerance=scene.solver.tolerance)
         with watch.stage("write"):
             files = write_results(folder, chain, solution, overwrite=arguments.overwrite)
@@ -98,7 +99,8 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
-    counts = count(chain)  # the mesh counts are collective
+    with name_place(scene, chain.interface):
+        counts = count(chain)  # the mesh counts are collective
     if comm.rank == 0:
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)  # a file has no width to wrap to
         console.print(scene.title or str(arguments.scene), style="bold", markup=False)
@@ -140,6 +142,21 @@ def tabulate_effects(scene: Scene) -> Table:
     for effect in list_effects(scene):
         table.add_row(effect.name, "on" if effect.on else "off", effect.why, style=None if effect.on else "dim")
     return table
+
+
+@contextmanager
+def name_place(scene: Scene, interface: Interface) -> Iterator[None]:
+    """Adds to a message on an unheld body what the contact problem does not know: scene file and flanks.
+
+    Raises:
+        UnheldBody: With the longer message.
+    """
+    try:
+        yield
+    except UnheldBody as error:
+        flanks = sorted({interface.flanks[interface.flank_of_pair[pair]] for pair in error.pairs})
+        place = f" (those pairs are on {', '.join(flanks)})" if flanks else ""
+        raise UnheldBody(f"{scene.where}: {error}{place}", error.pairs) from error
 
 
 @contextmanager

@@ -44,7 +44,7 @@ class DynamicCompliance:
     outputs: Mapping[str, ComplexArray]
 
     def motion(self, forces: ComplexArray, rigid: RealArray) -> ComplexArray:
-        """Motion ``(n_h, m)`` of the rows [m] under force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)``."""
+        """Motion ``(n_h, m)`` of the rows [m] under forces ``(n_h, m)`` [N] and rigid coordinates ``(r,)``."""
         motion = np.matmul(self.flexibility, forces[:, :, None])[:, :, 0] + self.free_motion
         if rigid.size:
             motion[0] += self.rigid_motion @ rigid
@@ -131,8 +131,8 @@ class NormalModes:
 def find_normal_modes(model: ReducedModel) -> NormalModes | None:
     """All modes of the model, or None where they do not uncouple it: damping not proportional.
 
-    Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep their
-    digits, whatever the highest frequency of the model.
+    Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
+    their digits, whatever the highest frequency of the model.
     """
     shift = 1e-6 * np.trace(model.stiffness) / np.trace(model.mass) or 1.0
     shifted = model.stiffness + shift * model.mass
@@ -229,7 +229,7 @@ def scale_rigid_modes(modes: RealArray, rows: RealArray) -> RealArray:
     if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
         raise ModelError(
             f"{modes.shape[1]} rigid motions of floating bodies, but the contact rows tell only "
-            f"{int((values > 1e-10 * values[0]).sum())} of them apart; clamp the body, bond a flank or add contact pairs"
+            f"{int((values > 1e-10 * values[0]).sum())} of them apart; clamp the body, bond a flank or add pairs"
         )
     modes = modes @ turn.T
     return modes / np.abs(rows @ modes).max(axis=0)

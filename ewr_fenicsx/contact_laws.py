@@ -4,7 +4,7 @@ A law owns one contact direction of a set of pairs: one unknown force and one eq
 forces, displacements and velocities at its pairs and answers with its residual (in newtons) and with the partial
 derivatives that are not identically zero. Nothing outside this file knows stick from slip or open from closed.
 
-Source: the equality-based form of the Alart-Curnier projections; Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
+Source: the equality-based form of the projections of Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Law(Protocol):
         static_row: Weight of the projected law in its mean equation (0 leaves the mean force to ``static_force_row``).
         static_force_row: Weight of the mean force in its mean equation.
         static_displacement_row: ``(K,)`` or scalar weight of the mean displacement in its mean equation [N/m].
-        static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m], or None: mean force zero.
+        static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
     """
 
     direction: str
@@ -189,9 +189,10 @@ class Coulomb:
         pairs: ``(K,)`` pairs governed.
         friction: ``(K,)`` coefficients of friction ``mu``.
         rho: ``(K,)`` positive weight [(m/s)/N].
-        static_row, static_force_row: ``(1, eps)`` keeps the mean equation, regularised; ``(0, 1)`` sets mean friction to zero.
-        static_displacement_row: ``(K,)`` or scalar; positive where only friction holds a body: pairs that stick throughout
-            then share its mean load like springs [N/m].
+        static_row, static_force_row: ``(1, eps)`` keeps the mean equation, regularised; ``(0, 1)`` sets mean friction
+            to zero.
+        static_displacement_row: ``(K,)`` or scalar; positive where only friction holds a body: pairs that stick
+            throughout then share its mean load like springs [N/m].
     """
 
     pairs: np.ndarray
@@ -243,7 +244,9 @@ def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:
     """
     if not np.all(limit >= 0):
         sample, pair = np.argwhere(~(limit >= 0))[0]
-        raise ModelError(f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative")
+        raise ModelError(
+            f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative"
+        )
     return np.clip(force, -limit, limit)
 
 

@@ -27,7 +27,7 @@ from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, hold
 from ewr_fenicsx.statics import find_holding
 
-# rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md shows what they do)
+# rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
 DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
@@ -72,7 +72,9 @@ class ContactProblem:
             value = getattr(self, name)
             if value is not None and not np.all(np.asarray(value, dtype=float) > 0):
                 raise ModelError(f"{name} = {value}; it must be positive")
-        if self.wear is not None and (np.shape(self.wear) != (self.model.pairs,) or not np.all(np.asarray(self.wear) >= 0)):
+        if self.wear is not None and (
+            np.shape(self.wear) != (self.model.pairs,) or not np.all(np.asarray(self.wear) >= 0)
+        ):
             raise ModelError(f"wear must be one depth >= 0 for each of the {self.model.pairs} pairs")
         missing = [h for h, f in self.loads.items() if h not in self.basis.orders and np.any(f)]
         if missing:
@@ -105,7 +107,9 @@ class ContactProblem:
         groups = tuple((np.asarray(pairs, dtype=int).reshape(-1), laws) for pairs, laws in self.laws)
         covered = np.sort(np.concatenate([pairs for pairs, _ in groups]))
         if not np.array_equal(covered, everything):
-            raise ModelError(f"laws must cover each of the {self.model.pairs} pairs once; they cover {covered.tolist()}")
+            raise ModelError(
+                f"laws must cover each of the {self.model.pairs} pairs once; they cover {covered.tolist()}"
+            )
         return groups
 
     @cached_property
@@ -378,7 +382,9 @@ def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray
     elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
     norms = np.linalg.norm(rows, axis=1)
     if not np.all(norms > 0):
-        raise ModelError(f"contact row {int(np.argmin(norms))} moves with no coordinate: its pair is clamped or bonded already")
+        raise ModelError(
+            f"contact row {int(np.argmin(norms))} moves with no coordinate: its pair is clamped or bonded already"
+        )
     rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
     if np.any(rigid):
         mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], np.linalg.solve(model.mass, rows[rigid].T))

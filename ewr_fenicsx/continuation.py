@@ -46,7 +46,7 @@ def trace_branch(
     tolerance: float = 1e-8,
     corrector_steps: int = 12,
 ) -> Iterator[BranchPoint]:
-    """Follow a branch from a converged point; yields points until the consumer stops or a step fails at the smallest size.
+    """Follow a branch from a converged point, until the consumer stops or a step fails at the smallest size.
 
     Args:
         balance_at: Parameter -> balance, all in the same units.

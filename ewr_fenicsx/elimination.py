@@ -43,6 +43,7 @@ class Equations(Protocol):
     static_displacement_row: RealArray
     unknown: np.ndarray
 
+
 # Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
 REDUNDANCY = 1e-13
 
@@ -106,9 +107,9 @@ class Elimination:
         derivatives: Sequence[Derivative],
         steady: np.ndarray,
         load: RealArray,
-        shift: float = 0.0,
+        shift: RealArray | None = None,
     ) -> Elimination:
-        """Eliminate the rows marked in ``steady`` ``(m,)`` of ``J + shift I`` under a right side ``(n_c, m)``."""
+        """Eliminate the rows marked in ``steady`` of J plus a diagonal ``shift`` ``(m,)``; right side ``(n_c, m)``."""
         compliance, basis = balance.compliance, balance.basis
         c, mixed = np.flatnonzero(steady), np.flatnonzero(~steady)
         n_h = len(basis.orders)
@@ -142,7 +143,8 @@ class Elimination:
                 A *= weight[:, None]
                 A[np.arange(c.size), c] += balance.static_force_row[c]
                 toward_rigid *= weight[:, None]
-            A[np.arange(c.size), c] += shift if h else np.where(balance.static_force_row[c] > 0, 0.0, shift)
+            if shift is not None:
+                A[np.arange(c.size), c] += shift[c] if h else np.where(balance.static_force_row[c] > 0, 0.0, shift[c])
             solved = np.linalg.solve(A[:, c], np.column_stack([A[:, mixed], right[j], toward_rigid]))
             reaction[j], offset[j] = solved[:, : mixed.size], solved[:, mixed.size]
             if h == 0:
@@ -167,7 +169,7 @@ class Elimination:
         return H_m - H_c @ self.reaction, np.einsum("hkc,hc->hk", H_c, self.offset), G - H_c[0].real @ self.rigid
 
     def rigid_balance(self) -> tuple[RealArray, RealArray, RealArray]:
-        """``G^T d_0`` on the mixed mean forces ``(r, M)``, on the rigid coordinates ``(r, r)`` and by itself ``(r,)``."""
+        """``G^T d_0`` on the mixed mean forces ``(r, M)``, on the rigid coordinates ``(r, r)``, by itself ``(r,)``."""
         G = self.balance.compliance.rigid_motion
         steady = G[self.steady].T
         return G[self.mixed].T - steady @ self.reaction[0].real, -steady @ self.rigid, steady @ self.offset[0].real

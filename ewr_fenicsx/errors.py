@@ -37,7 +37,15 @@ class ModelError(EwrError, ValueError):
 
 
 class UnheldBody(EwrError):
-    """A floating body that contact cannot hold under the static load."""
+    """A floating body that contact cannot hold under the static load.
+
+    Attributes:
+        pairs: Numbers of the pairs that open most when it moves, as far as they are known.
+    """
+
+    def __init__(self, message: str, pairs: Iterable[int] = ()):
+        super().__init__(message)
+        self.pairs = tuple(pairs)
 
 
 class OutputError(EwrError):

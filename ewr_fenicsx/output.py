@@ -10,6 +10,7 @@ import json
 import platform
 import resource
 import subprocess
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -65,7 +66,7 @@ def write_results(
     Raises:
         OutputError: The folder is taken, or cannot be written.
     """
-    comm = chain.mesh.domain.comm
+    comm, start = chain.mesh.domain.comm, time.perf_counter()
     with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
         write_fields(draft, chain, solution)
         plots.draw_mesh(draft / "mesh.png", chain)
@@ -78,6 +79,7 @@ def write_results(
             write_pairs(draft / "pairs.csv", chain.interface, solution)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
             summary = summarise(chain, solution) | {"peak_memory_MB": memory, "files": files}
+            summary["seconds"]["write"] = time.perf_counter() - start
             (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return tuple(
         folder / name for name in on_rank_zero(comm, lambda: json.loads((folder / SUMMARY).read_text())["files"])
@@ -259,9 +261,9 @@ def _write_series(
 ) -> None:
     """Writes fields of degree 1 on ``domain``, named like their file; collective."""
     with _open_xdmf(path, domain) as file:
-        for time, field in zip(times, fields, strict=True):
+        for instant, field in zip(times, fields, strict=True):
             field.name = path.stem
-            file.write_function(field, time)
+            file.write_function(field, instant)
 
 
 def _list_amplitudes(solution: PeriodicSolution, name: str) -> list[dict[str, float]]:

@@ -70,14 +70,18 @@ class PeriodicSolution:
         amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
         for j, h in enumerate(self.orders):
             force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
-            amplitudes[j] = receptance(system.model, h * self.problem.omega, np.eye(system.model.size), force[:, None])[:, 0]
+            amplitudes[j] = receptance(system.model, h * self.problem.omega, np.eye(system.model.size), force[:, None])[
+                :, 0
+            ]
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
             modes = system.model.rigid_modes
             rows = np.vstack([system.rows, *system.model.outputs.values()])
             names = system.model.outputs
             wanted = system.compliance.motion(self.forces, self.rigid)[0].real
-            wanted = np.concatenate([wanted, [system.compliance.output(n, self.forces, self.rigid)[0].real for n in names]])
+            wanted = np.concatenate(
+                [wanted, [system.compliance.output(n, self.forces, self.rigid)[0].real for n in names]]
+            )
             amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
         return amplitudes @ system.expansion.T
 
@@ -85,7 +89,8 @@ class PeriodicSolution:
         """A quantity of every pair over one period, ``(samples, K_c)``.
 
         Args:
-            name: ``"normal_force"``, ``"friction_force"`` (as truncated), ``"admissible_friction_force"`` (within the cone) [N];
+            name: ``"normal_force"``, ``"friction_force"`` (as truncated), ``"admissible_friction_force"`` (in the cone)
+                [N];
                 ``"gap"`` (initial gap included), ``"slip"`` [m]; ``"slip_velocity"`` [m/s].
             samples: Samples a period.
 
@@ -127,11 +132,11 @@ class PeriodicSolution:
             return []
         motion = system.compliance.motion(self.forces, self.rigid)
         seen = HarmonicBalance(system).sample(self.forces, motion, basis)
-        return [(law, law.fields(motion)) for law, motion in zip(system.laws, seen)]
+        return [(law, law.fields(motion)) for law, motion in zip(system.laws, seen, strict=True)]
 
     @cached_property
     def pair_forces(self) -> Mapping[str, ComplexArray]:
-        """Amplitudes ``(n_h, K_c)`` of the forces at all pairs by direction, bonded and prescribed ones included [N]."""
+        """Amplitudes ``(n_h, K_c)`` of the forces at all pairs by direction, bonded and prescribed included [N]."""
         problem, system, model = self.problem, self.problem.system, self.problem.model
         directions = ("normal", *model.tangent_directions)
         found = {d: np.zeros((len(self.orders), model.pairs), dtype=complex) for d in directions}
@@ -158,8 +163,14 @@ class PeriodicSolution:
             w = h * self.problem.omega
             x = self.coordinates[j]
             left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x)
-            left = left - self.problem.loads.get(h, 0) - sum(
-                model.rows(d).T @ force[j] for d, force in found.items() if d != "normal" or model.normal is not None
+            left = (
+                left
+                - self.problem.loads.get(h, 0)
+                - sum(
+                    model.rows(d).T @ force[j]
+                    for d, force in found.items()
+                    if d != "normal" or model.normal is not None
+                )
             )
             force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
             start = 0
@@ -183,7 +194,9 @@ class PeriodicSolution:
         work = indicators.measure_work(loads, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        rubbed = -period * np.sum(np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[slides])
+        rubbed = -period * np.sum(
+            np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[slides]
+        )
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
             "penetration": max(0.0, -float(sampled["gap"][:, unilateral].min(initial=0.0))),
@@ -207,8 +220,9 @@ class PeriodicSolution:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
         lines = [
-            f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}: {state} in {self.iterations} "
-            f"Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, {self.seconds:.2f} s"
+            f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}: {state} in "
+            f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
+            f"{self.seconds:.2f} s"
         ]
         lines += [f"  fallback: {rung}" for rung in self.fallbacks]
         return "\n".join(lines)

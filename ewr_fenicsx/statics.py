@@ -53,12 +53,13 @@ def find_holding(
         )
     if rest > _BALANCED:
         opening = normal_motion @ motion
-        worst = np.argsort(-opening)[:3]
-        opens = ", ".join(str(k) for k in worst if opening[k] > 0) or "none"
+        worst = [int(k) for k in np.argsort(-opening)[:3] if opening[k] > 0]
+        opens = f"pairs {', '.join(map(str, worst))} most" if worst else "no pair"
         raise UnheldBody(
             f"nothing holds a floating body: {rest:.0%} of the mean load stays unbalanced whatever the contact forces; "
-            f"it drives a rigid motion that opens pairs {opens} most; turn the load round, raise the friction, or "
-            "support the body"
+            f"it drives a rigid motion that opens {opens}; turn the load round, raise the friction or the prescribed "
+            "normal force, or support the body",
+            worst,
         )
     return "friction"
 

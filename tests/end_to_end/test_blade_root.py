@@ -89,7 +89,7 @@ def test_summary_tells_where_the_figures_come_from(summary, run):
     assert summary["scene"]["contact"]["friction"] == 0.2
     assert Path(summary["scene"]["geometry"]["source"]).is_file()
     assert {"python", "dolfinx", "petsc4py", "slepc4py", "numpy", "ewr_fenicsx"} <= set(summary["versions"])
-    assert set(summary["seconds"]) == {"mesh", "matrices", "interface", "reduction", "solve"}
+    assert set(summary["seconds"]) == {"mesh", "matrices", "interface", "reduction", "solve", "write"}
     assert sorted(path.name for path in run[1].iterdir()) == summary["files"]
     assert summary["solution"]["converged"] is True
     assert summary["ranks"] == 1

@@ -92,8 +92,8 @@ def results(tmp_path_factory):
 def opened(results, tmp_path_factory):
     """What ParaView found, and the run's own summary."""
     folder = tmp_path_factory.mktemp("inspect")
-    (folder / "inspect.py").write_text(INSPECT)
-    call_paraview("pvbatch", folder / "inspect.py", results, folder / "found.json")
+    (folder / "open_files.py").write_text(INSPECT)
+    call_paraview("pvbatch", folder / "open_files.py", results, folder / "found.json")
     return json.loads((folder / "found.json").read_text()), json.loads((results / "summary.json").read_text())
 
 

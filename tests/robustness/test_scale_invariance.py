@@ -17,7 +17,7 @@ from ewr_fenicsx import ContactProblem, solve
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from hard_cases import DEGENERATE, draw_cases, pose_case  # noqa: E402
+from hard_cases import DEGENERATE, draw_cases, pose_case
 
 # length, mass and time in new units, over those in old ones: about mm, t, s; mm, kg, ms; and something silly
 UNITS = {"mm, t, s": (1024.0, 1 / 1024, 1.0), "mm, kg, ms": (1024.0, 1.0, 1024.0), "silly": (4.0**-9, 4.0**6, 4.0**4)}
@@ -40,7 +40,9 @@ def change_units(problem: ContactProblem, length: float, mass: float, time: floa
     return replace(
         problem,
         model=model,
-        laws=replace(laws, initial_gap=length * np.asarray(laws.initial_gap), normal_force=scaled(laws.normal_force, force)),
+        laws=replace(
+            laws, initial_gap=length * np.asarray(laws.initial_gap), normal_force=scaled(laws.normal_force, force)
+        ),
         frequency=problem.frequency / time,
         rho_normal=scaled(problem.rho_normal, mass / time**2),
         rho_tangential=scaled(problem.rho_tangential, time / mass),
@@ -56,7 +58,9 @@ def compare(problem: ContactProblem, units: tuple[float, float, float]) -> None:
     assert second.fallbacks == first.fallbacks
     assert second.residual == pytest.approx(first.residual, rel=1e-6)
     force = mass * length / time**2
-    np.testing.assert_allclose(second.forces, force * first.forces, atol=1e-9 * force * np.abs(first.forces).max(initial=0))
+    np.testing.assert_allclose(
+        second.forces, force * first.forces, atol=1e-9 * force * np.abs(first.forces).max(initial=0)
+    )
     np.testing.assert_allclose(
         second.output("tip"), length * first.output("tip"), atol=1e-9 * length * np.abs(first.output("tip")).max()
     )

@@ -1,0 +1,164 @@
+"""One Newton run on the weighted residual, through PETSc SNES."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from petsc4py import PETSc
+
+from ewr_fenicsx.balance import HarmonicBalance, NewtonStep
+from ewr_fenicsx.reduced_model import RealArray
+
+LinearSolver = Literal["elimination", "dense"]
+
+# Added to the contact rows' diagonal, times the residual over the first one, while that is above a limit: far from the
+# solution the steps are then shorter where pairs are about to change status.
+SHIFT, SHIFT_ABOVE = 0.1, 1e-3
+MAX_STEPS = 60  # -ewr_snes_max_it
+SMALLEST_DAMPING = 1e-6  # of a Newton step
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One run from one start: scaled unknowns, residual norm, Newton steps, and why it stopped."""
+
+    unknowns: RealArray
+    residual: float
+    iterations: int
+    reason: str
+    converged: bool
+
+
+def choose_shift(step: NewtonStep, first: float) -> float:
+    """Diagonal shift of a Newton step: in proportion to the residual far from the solution, none close to it."""
+    norm = float(np.linalg.norm(step.residual))
+    return SHIFT * norm / first if norm > SHIFT_ABOVE * max(first, SHIFT) else 0.0
+
+
+def run_newton(
+    balance: HarmonicBalance, start: RealArray, tolerance: float, linear_solver: LinearSolver, limit: int | None = None
+) -> Attempt:
+    """One Newton run through PETSc SNES, options under the prefix ``ewr_``."""
+    if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
+        linear_solver = "dense"
+    comm = PETSc.COMM_SELF
+    snes = PETSc.SNES().create(comm)
+    snes.setOptionsPrefix("ewr_")
+    x, r = PETSc.Vec().createSeq(balance.size, comm=comm), PETSc.Vec().createSeq(balance.size, comm=comm)
+
+    first = float(np.linalg.norm(balance.residual(start)))
+
+    def evaluate(snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        r.array[:] = balance.residual(x.array_r)
+
+    snes.setFunction(evaluate, r)
+    ksp = snes.getKSP()
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    pc = ksp.getPC()
+    if linear_solver == "dense":
+        matrix = PETSc.Mat().createDense((balance.size, balance.size), comm=comm)
+        matrix.setUp()
+
+        def linearise(snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+            step = balance.linearise(x.array_r)
+            P.getDenseArray()[:] = step.matrix(choose_shift(step, first))
+            P.assemble()
+
+        snes.setJacobian(linearise, matrix)
+        pc.setType(PETSc.PC.Type.LU)
+    else:
+        shell = _Linearised()
+        matrix = PETSc.Mat().createPython((balance.size, balance.size), context=shell, comm=comm)
+        matrix.setUp()
+
+        def linearise(snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+            shell.step = balance.linearise(x.array_r)
+            shell.shift = choose_shift(shell.step, first)
+
+        snes.setJacobian(linearise, matrix)
+        pc.setType(PETSc.PC.Type.PYTHON)
+        pc.setPythonContext(shell)
+    snes.setType(PETSc.SNES.Type.PYTHON)
+    snes.setPythonContext(_HalvedNewton())
+    snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
+    snes.setFromOptions()
+    if limit is not None:
+        snes.setTolerances(max_it=limit)
+    x.array[:] = start
+    try:
+        snes.solve(None, x)
+        code, found, steps = snes.getConvergedReason(), x.array.copy(), snes.getIterationNumber()
+    finally:
+        for item in (snes, matrix, x, r):
+            item.destroy()
+    residual = float(np.linalg.norm(balance.residual(found)))
+    return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)
+
+
+_REASONS = {
+    PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS: "residual below the tolerance",
+    PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no decrease",
+    PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: "too many Newton steps",
+    PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "the Newton matrix is singular",
+}
+
+
+class _HalvedNewton:
+    """Newton's method with steps halved until the residual norm falls, as a SNES type.
+
+    PETSc's own line searches fit a parabola through the residual, which has kinks, and take more steps. A SNES type
+    chosen with ``-ewr_snes_type`` takes this one's place.
+    """
+
+    def solve(self, snes: PETSc.SNES, _: PETSc.Vec, x: PETSc.Vec) -> None:
+        reason = PETSc.SNES.ConvergedReason
+        f = snes.getFunction()[0]
+        J, P = snes.getJacobian()[:2]
+        ksp = snes.getKSP()
+        step, trial, residual = x.duplicate(), x.duplicate(), f.duplicate()
+        _, tolerance, _, limit = snes.getTolerances()
+        snes.computeFunction(x, f)
+        norm = f.norm()
+        for taken in range(limit + 1):
+            snes.setIterationNumber(taken)
+            snes.setFunctionNorm(norm)
+            snes.monitor(taken, norm)
+            if norm <= tolerance:
+                return snes.setConvergedReason(reason.CONVERGED_FNORM_ABS)
+            if taken == limit:
+                return snes.setConvergedReason(reason.DIVERGED_MAX_IT)
+            snes.computeJacobian(x, J, P)
+            ksp.setOperators(J, P)
+            ksp.solve(f, step)
+            if not np.isfinite(step.norm()):
+                return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
+            damping = 1.0
+            while True:
+                trial.waxpy(-damping, step, x)
+                snes.computeFunction(trial, residual)
+                found = residual.norm()
+                if found <= (1 - 1e-4 * damping) * norm:
+                    break
+                damping *= 0.5
+                if damping < SMALLEST_DAMPING:
+                    return snes.setConvergedReason(reason.DIVERGED_LINE_SEARCH)
+            trial.copy(x)
+            residual.copy(f)
+            norm = found
+
+
+class _Linearised:
+    """The current Newton step as a PETSc matrix and as its exact preconditioner."""
+
+    step, shift = None, 0.0
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.array[:] = self.step.multiply(x.array_r)
+
+    def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        try:
+            x.array[:] = self.step.solve(b.array_r, self.shift)
+        except np.linalg.LinAlgError:
+            x.set(np.nan)  # the step then ends the iteration

@@ -1,0 +1,52 @@
+"""The static state of the blade root: what the flanks carry is what pulls, however the floating blade is condensed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
+
+SCENE = Path(__file__).parents[2] / "demos" / "blade_root.toml"
+
+
+INVERSES = ("inertia relief", "pinned")
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return build_chain(load_scene(SCENE))
+
+
+@pytest.fixture(scope="module", params=["at rest", "shaken"])
+def solutions(request, chain):
+    """Solutions of the default scene by generalised inverse, without the shaker and with it."""
+    problem = pose_problem(chain.scene, chain.reduction.model)
+    if request.param == "at rest":
+        model = chain.reduction.model
+        problem = replace(problem, model=replace(model, load={0: model.load[0]}), harmonics=0)
+    return {name: solve(replace(problem, generalised_inverse=name), tolerance=1e-12) for name in INVERSES}
+
+
+@pytest.mark.parametrize("inverse", INVERSES)
+def test_contact_forces_balance_the_pull(chain, solutions, inverse):
+    """The mean force on the blade, in both directions and about the disk's axis, to 1e-10 of the load."""
+    interface, solution = chain.interface, solutions[inverse]
+    normal, friction = (solution.history(name, 64).mean(axis=0) for name in ("normal_force", "friction_force"))
+    forces = friction[:, None] * interface.tangent - normal[:, None] * interface.normal
+    x, y = interface.position.T
+    moment = (x * forces[:, 1] - y * forces[:, 0]).sum()
+    pull = np.array(chain.scene.loads["axial_pull"].force)
+    size = np.linalg.norm(pull)
+    np.testing.assert_allclose(forces.sum(axis=0), -pull, rtol=0, atol=1e-10 * size)
+    assert abs(moment) < 1e-10 * size * y.max(), "the tip lies above the axis: the pull has no moment"
+
+
+def test_both_inverses_give_the_same_forces(solutions):
+    for name in ("normal_force", "friction_force"):
+        one, other = (solutions[inverse].history(name, 64) for inverse in INVERSES)
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-10 * np.abs(one).max(), err_msg=name)
