@@ -81,6 +81,10 @@ def condense(
         omega: Angular frequency [rad/s], positive unless only the mean is asked for.
         orders: Harmonics.
         generalised_inverse: How the singular static stiffness of floating bodies is inverted; no result depends on it.
+
+    Raises:
+        ModelError: No positive frequency, a harmonic that hits an undamped mode exactly, or a rigid motion that the
+            rows do not see.
     """
     if omega <= 0 and orders != (0,):
         raise ModelError(f"angular frequency {omega:g} rad/s; a periodic motion needs a positive one")
@@ -166,6 +170,9 @@ def receptance(
 
     Returns:
         ``(p, k)`` complex.
+
+    Raises:
+        ModelError: The frequency hits an undamped mode exactly.
     """
     modes = find_normal_modes(model)
     if modes is None or (omega == 0 and generalised_inverse == "pinned"):

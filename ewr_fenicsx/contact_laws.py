@@ -257,7 +257,11 @@ def prescribed_amplitudes(laws: ContactLaws, pairs: int) -> dict[int, ComplexArr
 
 
 def spread_over_pairs(value, pairs: np.ndarray, total: int) -> RealArray:
-    """A scalar, a value for each pair of the model, or one for each pair of the group, as ``(K,)``."""
+    """A scalar, a value for each pair of the model, or one for each pair of the group, as ``(K,)``.
+
+    Raises:
+        ModelError: None of these.
+    """
     array = np.asarray(value, dtype=float)
     if array.ndim == 0:
         return np.full(pairs.size, float(array))

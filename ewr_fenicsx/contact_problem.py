@@ -100,7 +100,11 @@ class ContactProblem:
 
     @cached_property
     def groups(self) -> tuple[tuple[np.ndarray, ContactLaws], ...]:
-        """Pairs and their laws."""
+        """Pairs and their laws.
+
+        Raises:
+            ModelError: The groups do not cover each pair once.
+        """
         everything = np.arange(self.model.pairs)
         if isinstance(self.laws, ContactLaws):
             return ((everything, self.laws),)

@@ -17,10 +17,10 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # fmt: off
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "contact_laws", "statics", "compliance", "contact_problem",
-    "elimination", "balance", "indicators", "solution", "continuation", "smoothing", "snes", "ladder", "newton", "time_stepping",
-    "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene", "scene_reference", "effects", "mesh",
-    "materials", "elasticity", "interface", "modes", "reduction", "chain", "contact_state", "gathering", "plots",
-    "result_folder", "output", "cli", "__main__",
+    "elimination", "balance", "indicators", "solution", "continuation", "smoothing", "snes", "ladder", "newton",
+    "time_stepping", "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene",
+    "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
+    "contact_state", "gathering", "plots", "result_folder", "output", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

@@ -162,7 +162,10 @@ def two_masses(preload: float, shake: tuple[float, float]) -> ReducedModel:
 )
 def test_two_mass_oscillator_agrees_with_the_harmonic_solver(preload, shake, beta, opens):
     model = two_masses(preload, shake)
-    problem = lambda N: ContactProblem(model, ContactLaws(friction=0.4), beta / (2 * np.pi), harmonics=N)  # noqa: E731
+    # the weight of one static stiffness: with the default, ten of them, velocities ring longer after the impact (0.06)
+    laws, frequency = ContactLaws(friction=0.4), beta / (2 * np.pi)
+    weight = 1 / ContactProblem(model, laws, frequency).system.flexibility[0]
+    problem = lambda N: ContactProblem(model, laws, frequency, harmonics=N, rho_normal=weight)  # noqa: E731
     stepped = integrate(problem(5), steps=1600, periods=400, tolerance=1e-7)
     assert stepped.converged, stepped.reason
     assert (stepped.history("gap").max() > 0.01) == opens
@@ -174,7 +177,7 @@ def test_two_mass_oscillator_agrees_with_the_harmonic_solver(preload, shake, bet
         errors[N] = np.linalg.norm(first(harmonic) - first(stepped)) / np.linalg.norm(first(stepped))
     assert errors[15] < 2.5e-3
     assert errors[15] < errors[3] / 20
-    for name, limit in (("normal_force", 0.02), ("friction_force", 0.025), ("slip", 0.005), ("slip_velocity", 0.065)):
+    for name, limit in (("normal_force", 0.02), ("friction_force", 0.025), ("slip", 0.005), ("slip_velocity", 0.04)):
         ours, theirs = stepped.history(name, 256), harmonic.history(name, 256)
         assert np.sqrt(np.mean((ours - theirs) ** 2) / np.mean(ours**2)) < limit, name
 
