@@ -27,10 +27,12 @@ def solve_degenerate(name: str) -> PeriodicSolution:
     return solve(DEGENERATE[name]())
 
 
-def run_sample(counts: dict[str, int], cap: float) -> tuple[list[hard_cases.Outcome], list[hard_cases.Outcome]]:
+def run_sample(
+    counts: dict[str, int], cap: float, highest: int = 31
+) -> tuple[list[hard_cases.Outcome], list[hard_cases.Outcome]]:
     """Outcomes of a sample of cases: those with the default weights, and those with weights a thousandfold off."""
     cases = [case for seed, (name, count) in enumerate(counts.items(), 101) for case in draw_cases(name, count, seed)]
-    outcomes = [(case.rho == (1, 1), run_sampled((case, cap))) for case in cases]
+    outcomes = [(case.rho == (1, 1), run_sampled((case, cap))) for case in cases if case.harmonics <= highest]
     return [o for usual, o in outcomes if usual], [o for usual, o in outcomes if not usual]
 
 
@@ -57,9 +59,10 @@ def check_share(outcomes: list[hard_cases.Outcome], share: float, steps: float) 
 
 
 def test_a_small_sample():
-    usual, off = run_sample({"blade root": 12, "dovetail": 24, "lap joint": 24}, cap=60.0)
-    check_share(usual, share=0.995, steps=30.0)
-    assert len(check_outcomes(off)) >= 0.85 * len(off)
+    """Up to nine harmonics, so that no machine is too slow for the cap."""
+    usual, off = run_sample({"blade root": 12, "dovetail": 24, "lap joint": 24}, cap=600.0, highest=9)
+    check_share(usual, share=1.0, steps=15.0)
+    assert len(check_outcomes(off)) >= 0.9 * len(off)
 
 
 @pytest.mark.slow
