@@ -1,7 +1,8 @@
 """Contact laws with rounded corners, to walk to a solution that Newton does not find on the sharp ones.
 
 ``max(0, x)`` becomes ``(x + sqrt(x^2 + e^2)) / 2`` and ``|x|`` becomes ``sqrt(x^2 + e^2)``: both continuously
-differentiable, and the exact law as the width ``e`` goes to zero. Solutions on rounded laws are starts only; none is ever returned.
+differentiable, and the exact law as the width ``e`` goes to zero. Solutions on rounded laws are starts only; none of
+them is ever returned.
 
 Source: Chen & Mangasarian (1996), doi:10.1007/BF00249052.
 """
