@@ -18,7 +18,8 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "contact_laws", "statics", "compliance", "contact_problem",
     "elimination", "balance", "indicators", "solution", "continuation", "smoothing", "snes", "ladder", "newton",
-    "time_stepping", "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene",
+    "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
+    "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
     "contact_state", "gathering", "plots", "result_folder", "output", "cli", "__main__",
 ]
