@@ -21,7 +21,7 @@ ORDER = [
     "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
     "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
-    "contact_state", "gathering", "plots", "result_folder", "output", "cli", "__main__",
+    "contact_state", "gathering", "plots", "result_folder", "output", "wear_fields", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
