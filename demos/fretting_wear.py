@@ -175,7 +175,9 @@ def draw(path: Path, every, higher: dict, flanks: dict, outward: np.ndarray) -> 
 def check(figures: dict, verdicts: list, every, jumped) -> None:
     assert every.stopped is None and jumped.stopped is None
     assert figures["in jumps: error over the deepest wear"] < ONE_PERCENT.share
-    assert jumped.solves < 0.1 * every.solves + 20
+    assert jumped.solves < every.solves
+    if every.cycles[-1] == CYCLES:
+        assert jumped.solves < 0.05 * every.solves
     assert np.all(np.diff(every.depth, axis=0) >= 0)
     assert 1 < figures["J_T at first, at last [µm]"][0] < 50
     assert verdicts[1].verdict == verdicts[3].verdict == AGREES
