@@ -38,9 +38,7 @@ def measure_distances(solution, pairs: np.ndarray) -> dict[str, float]:
     gap, normal = (solution.history(name, SAMPLES)[:, pairs] for name in ("gap", "normal_force"))
     velocity, friction = (solution.history(name, SAMPLES)[:, pairs] for name in ("slip_velocity", "friction_force"))
     g, n = gap / max(gap.max(), 1e-12), normal / normal.max()
-    signorini = np.where(
-        (g >= 0) & (n >= 0), np.minimum(g, n), np.hypot(np.minimum(g, 0), np.minimum(n, 0)) + 0 * g
-    )
+    signorini = np.where((g >= 0) & (n >= 0), np.minimum(g, n), np.hypot(np.minimum(g, 0), np.minimum(n, 0)) + 0 * g)
     loaded = normal > 0.05 * normal.max()
     v = velocity[loaded] / np.abs(velocity).max()
     share = friction[loaded] / (MU * normal[loaded])
@@ -93,7 +91,8 @@ def main(folder: Path = RESULTS / "contact_sets") -> dict:
         for name, solution in solutions.items():
             for flank, pairs in flanks.items():
                 figures[f"{name}, {flank}"] = {
-                    key: np.round(values, 4).tolist() for key, values in describe_flank(solution, pairs, outward).items()
+                    key: np.round(values, 4).tolist()
+                    for key, values in describe_flank(solution, pairs, outward).items()
                 }
     verdicts = compare(figures)
     report("contact_sets", figures, verdicts, lambda path: draw(path, solutions, flanks[FLANK], outward), folder)
@@ -109,9 +108,7 @@ def main(folder: Path = RESULTS / "contact_sets") -> dict:
 def compare(figures: dict) -> list:
     fine, coarse = figures["dynamic, N = 15"], figures["dynamic, N = 5"]
     top, bottom = figures["dynamic, top_left"], figures["dynamic, bottom_left"]
-    gap, force, sliding = (
-        np.array(top[key]) for key in ("largest_gap_um", "mean_normal_force_N", "sliding_um")
-    )
+    gap, force, sliding = (np.array(top[key]) for key in ("largest_gap_um", "mean_normal_force_N", "sliding_um"))
     velocity = np.array(top["largest_slip_velocity_mm_s"])
     opens_outside = gap[-1] > gap[0]
     rises = force[: len(force) // 2].mean() > force[len(force) // 2 :].mean() and velocity[0] > velocity[-1]
@@ -120,22 +117,27 @@ def compare(figures: dict) -> list:
             "Overall, the method demonstrates strong agreement with the true contact sets.",
             fine["signorini_max"] < 0.1 and fine["coulomb_rms"] < 0.1,
             f"500 Hz, N = 15: distance from Signorini's set at most {fine['signorini_max']:.3f} and from Coulomb's "
-            f"{fine['coulomb_max']:.2f} (rms {fine['coulomb_rms']:.3f}) in the units of the text. The largest distances "
+            f"{fine['coulomb_max']:.2f} (rms {fine['coulomb_rms']:.3f}) in the units of the text. The largest "
+            f"distances "
             "are where slip sets in and ends.",
         ),
         judge(
             "Minute differences are attributed to the Gibbs phenomenon.",
             fine["signorini_rms"] < coarse["signorini_rms"] and fine["coulomb_rms"] < coarse["coulomb_rms"],
-            f"From N = 5 to 15 the rms distances fall from {coarse['signorini_rms']:.4f} to {fine['signorini_rms']:.4f} "
-            f"(Signorini) and from {coarse['coulomb_rms']:.3f} to {fine['coulomb_rms']:.3f} (Coulomb): they are those of "
+            f"From N = 5 to 15 the rms distances fall from {coarse['signorini_rms']:.4f} to "
+            f"{fine['signorini_rms']:.4f} "
+            f"(Signorini) and from {coarse['coulomb_rms']:.3f} to {fine['coulomb_rms']:.3f} (Coulomb): they are "
+            f"those of "
             "truncation.",
         ),
         judge(
             "These results are broadly representative of all individual surfaces.",
             0.5 < np.max(bottom["sliding_um"]) / np.max(sliding) < 2,
             f"Left and right are each other's mirror image. But at 500 Hz the top flanks slide up to "
-            f"{sliding.max():.0f} micrometres a cycle and open by {gap.max():.1f}, the bottom ones {np.max(bottom['sliding_um']):.0f} "
-            f"and {np.max(bottom['largest_gap_um']):.1f}: on our root the upper lobes take most of the blade's bending.",
+            f"{sliding.max():.0f} micrometres a cycle and open by {gap.max():.1f}, the bottom ones "
+            f"{np.max(bottom['sliding_um']):.0f} "
+            f"and {np.max(bottom['largest_gap_um']):.1f}: on our root the upper lobes take most of the blade's "
+            f"bending.",
         ),
         judge(
             "The root interface exhibits greater separation near its outer edge.",
@@ -146,7 +148,8 @@ def compare(figures: dict) -> list:
             "Toward the central, innermost region, contact pressures and slip velocities increase.",
             bool(rises),
             f"From the innermost to the outermost pair the mean normal force goes {force[0]:.0f}, "
-            f"{force[len(force) // 2]:.0f} (middle), {force[-1]:.0f} N (end pairs have half the area of the others) and the "
+            f"{force[len(force) // 2]:.0f} (middle), {force[-1]:.0f} N (end pairs have half the area of the others) "
+            f"and the "
             f"largest slip velocity {velocity[0]:.0f}, {velocity[len(force) // 2]:.0f}, {velocity[-1]:.0f} mm/s.",
         ),
         judge(
@@ -167,12 +170,17 @@ def draw(path: Path, solutions: dict, pairs: np.ndarray, outward: np.ndarray) ->
     grid = figure.subplots(2, 2)
     place = (outward[pairs] - outward[pairs].min()) / np.ptp(outward[pairs])
     for row, (name, solution) in zip(grid, solutions.items(), strict=True):
-        gap, normal = 1e6 * solution.history("gap", SAMPLES)[:, pairs], solution.history("normal_force", SAMPLES)[:, pairs]
+        gap, normal = (
+            1e6 * solution.history("gap", SAMPLES)[:, pairs],
+            solution.history("normal_force", SAMPLES)[:, pairs],
+        )
         velocity = 1e3 * solution.history("slip_velocity", SAMPLES)[:, pairs]
         share = solution.history("friction_force", SAMPLES)[:, pairs] / (MU * np.maximum(normal, 1e-9))
         loaded = normal > 0.05 * normal.max()
         widest, fastest = max(1.1 * gap.max(), 1e-3), 1.1 * np.abs(velocity).max()
-        row[0].plot([0, 0, widest], [1.1 * normal.max(), 0, 0], color="#c1121f", alpha=0.3, linewidth=4, label="exact set")
+        row[0].plot(
+            [0, 0, widest], [1.1 * normal.max(), 0, 0], color="#c1121f", alpha=0.3, linewidth=4, label="exact set"
+        )
         row[1].plot([-fastest, 0, 0, fastest], [1, 1, -1, -1], color="#c1121f", alpha=0.3, linewidth=4)
         colours = np.broadcast_to(place, normal.shape)
         order = {"cmap": "viridis", "s": 3, "vmin": 0, "vmax": 1, "rasterized": True}

@@ -1,8 +1,9 @@
 # %% [markdown]
 # # How do the flanks wear?
 #
-# Where flanks slide under pressure they lose material: Archard's law says by $k_w \oint p\,|v|\,dt$ a cycle. Vibration is
-# fast and wear is slow, so each cycle is solved with the gaps as they are, and the gaps grow between cycles.
+# Where flanks slide under pressure they lose material: Archard's law says by $k_w \oint p\,|v|\,dt$ a cycle.
+# Vibration is fast and wear is slow, so each cycle is solved with the gaps as they are, and the gaps grow between
+# cycles.
 #
 # This is the study of the paper's Figures 7 and 8: 3000 cycles at 1000 Hz, $k_w = 10^{-11}$/Pa, $\mu = 0.2$ and higher,
 # harmonics up to 5. Every cycle is solved once; then the same in jumps with error control, and both are compared.
@@ -89,11 +90,14 @@ def compare(figures: dict, friction) -> list:
     top, bottom = (np.mean([low[name]["volume_mm3"] for name in row]) for row in ARRANGED)
     sides = max(abs(low[a]["volume_mm3"] / low[b]["volume_mm3"] - 1) for a, b in ARRANGED)
     ratio = {
-        mu: figures[f"mu = {mu:g}, top_left"]["peripheral_um"] / max(figures[f"mu = {mu:g}, top_left"]["central_um"], 1e-12)
+        mu: figures[f"mu = {mu:g}, top_left"]["peripheral_um"]
+        / max(figures[f"mu = {mu:g}, top_left"]["central_um"], 1e-12)
         for mu in (0.2, *friction)
     }
     volumes = [figures[f"mu = {mu:g}: volume [mm³]"] for mu in (0.2, *friction)]
-    listed = ", ".join(f"{r:.3g} (mu = {mu:g})" if r < 1e3 else f"all at the edges (mu = {mu:g})" for mu, r in ratio.items())
+    listed = ", ".join(
+        f"{r:.3g} (mu = {mu:g})" if r < 1e3 else f"all at the edges (mu = {mu:g})" for mu, r in ratio.items()
+    )
     return [
         judge(
             "The surface becomes increasingly curved, with greater wear toward the periphery of the contact zone.",
@@ -107,12 +111,14 @@ def compare(figures: dict, friction) -> list:
             "Low-friction conditions promote higher amounts of surface wear.",
             bool(np.all(np.diff(volumes) < 0)),
             f"Worn volumes for mu = 0.2, {', '.join(f'{mu:g}' for mu in friction)}: "
-            f"{', '.join(f'{v:.3g}' for v in volumes)} mm³. At the fixed 1000 Hz more friction moves the resonance away.",
+            f"{', '.join(f'{v:.3g}' for v in volumes)} mm³. At the fixed 1000 Hz more friction moves the resonance "
+            f"away.",
         ),
         judge(
             "Low-friction wear patterns are more intensely worn at the peripherals.",
             all(ratio[0.2] > ratio[mu] for mu in friction),
-            f"Peripheral over central depth of the top left flank: {listed}. In micrometres the low-friction edges are worn "
+            f"Peripheral over central depth of the top left flank: {listed}. In micrometres the low-friction edges "
+            f"are worn "
             "more, in proportion to the centre less: where flanks mostly stick, they slip at the edges only.",
         ),
         judge(
@@ -123,7 +129,8 @@ def compare(figures: dict, friction) -> list:
         judge(
             "Adjacent (left and right) surfaces differ; the left-most wear more.",
             sides > 0.01,
-            f"Ours differ by {sides:.1e}: this sector is its own mirror image and the shaker has no side. Rounding alone breaks "
+            f"Ours differ by {sides:.1e}: this sector is its own mirror image and the shaker has no side. Rounding "
+            f"alone breaks "
             "the symmetry, and wear does not amplify it.",
         ),
     ]

@@ -1,12 +1,12 @@
 # %% [markdown]
 # # Which friction damps the blade best?
 #
-# Without friction the root slides freely and dissipates nothing; with very much it sticks and dissipates nothing either.
-# In between there is a coefficient of friction that keeps the highest response of the tip lowest. Which one, and what do
-# sliding and separation in the root do meanwhile?
+# Without friction the root slides freely and dissipates nothing; with very much it sticks and dissipates nothing
+# either. In between there is a coefficient of friction that keeps the highest response of the tip lowest. Which one,
+# and what do sliding and separation in the root do meanwhile?
 #
-# This is the study of the paper's Figure 6: tip displacement, sliding indicator $J_T$ and separation indicator $J_N$ from
-# 500 to 1500 Hz for $\mu$ = 0.1 to 1, harmonics up to 5.
+# This is the study of the paper's Figure 6: tip displacement, sliding indicator $J_T$ and separation indicator $J_N$
+# from 500 to 1500 Hz for $\mu$ = 0.1 to 1, harmonics up to 5.
 
 # %%
 from dataclasses import replace
@@ -27,8 +27,8 @@ FREQUENCIES = np.concatenate([np.arange(500, 850, 50), np.arange(850, 1151, 12.5
 
 # %% [markdown]
 # ## The best coefficient of friction
-# Two nested scalar searches: the highest response over the frequency, and its lowest value over the friction. Each solve
-# starts at the one before. The response is a maximum of smooth pieces, so golden sections do.
+# Two nested scalar searches: the highest response over the frequency, and its lowest value over the friction. Each
+# solve starts at the one before. The response is a maximum of smooth pieces, so golden sections do.
 
 
 # %%
@@ -111,7 +111,7 @@ def main(
             }
         if search:
             lowest = min(figures[f"mu = {mu:g}"]["peak_mm"] for mu in friction)
-            near = [mu for mu in friction if figures[f"mu = {mu:g}"]["peak_mm"] == lowest][0]
+            near = next(mu for mu in friction if figures[f"mu = {mu:g}"]["peak_mm"] == lowest)
             i = friction.index(near)
             bounds = friction[max(i - 1, 0)], friction[min(i + 1, len(friction) - 1)]
             peak_at = figures[f"mu = {near:g}"]["peak_Hz"]
@@ -152,8 +152,8 @@ def compare(figures: dict, friction) -> list:
             None if best is None else abs(best - 0.4) < 0.05,
             "Not searched in this run."
             if best is None
-            else f"Ours is mu = {best:g}, with a peak of {figures['its peak_mm']:g} mm at {figures['its peak_Hz']:g} Hz. It "
-            "depends on the shaker's force over the pull, which the paper does not give for its blade.",
+            else f"Ours is mu = {best:g}, with a peak of {figures['its peak_mm']:g} mm at {figures['its peak_Hz']:g} Hz. "
+            "It depends on the shaker's force over the pull, which the paper does not give for its blade.",
         ),
         judge(
             "Lower friction shifts the resonance downward and raises the displacement.",
@@ -173,7 +173,8 @@ def compare(figures: dict, friction) -> list:
         judge(
             "Separation exhibits a conventionally damped response.",
             bool(np.argmin(opening) in (inner, inner + 1)),
-            f"Largest J_N: {table(opening)} micrometres: like the tip's response it has a minimum, but at a higher friction.",
+            f"Largest J_N: {table(opening)} micrometres: like the tip's response it has a minimum, but at a higher "
+            f"friction.",
         ),
     ]
 

@@ -25,8 +25,8 @@ SAMPLES = 1024
 
 # %% [markdown]
 # ## Profiles
-# Pairs are ordered from the innermost to the outermost of their flank. End pairs stand for half the length of the others,
-# but carry the stress concentration of the flank's edges; so pressures are compared, force over tributary area.
+# Pairs are ordered from the innermost to the outermost of their flank. End pairs stand for half the length of the
+# others, but carry the stress concentration of the flank's edges; so pressures are compared, force over tributary area.
 
 
 # %%
@@ -84,7 +84,8 @@ def compare(figures: dict) -> list:
         judge(
             "The plots reveal a symmetry in the force distribution.",
             uneven < 0.01,
-            f"Largest forces of mirrored pairs agree within {uneven:.1e}: the sector and its mean load are symmetric, and the "
+            f"Largest forces of mirrored pairs agree within {uneven:.1e}: the sector and its mean load are "
+            f"symmetric, and the "
             "shaker's two half-periods are each other's mirror image.",
         ),
         judge(
@@ -95,13 +96,15 @@ def compare(figures: dict) -> list:
         judge(
             "Elevated magnitudes appear particularly near the periphery of the contact zone.",
             bool(min(rise[0], rise[-1]) > rise[2:-2].mean()),
-            f"At 500 Hz the innermost pair's largest force rises by {rise[0]:.0%}, the outermost's by {rise[-1]:.0%}, those in "
+            f"At 500 Hz the innermost pair's largest force rises by {rise[0]:.0%}, the outermost's by "
+            f"{rise[-1]:.0%}, those in "
             f"between by {rise[2:-2].mean():.0%}.",
         ),
         judge(
             "Deviations (left against right) come from asymmetric tip-root coupling and friction.",
             uneven > 0.01,
-            f"There are none to explain here ({uneven:.1e}): our sector is its own mirror image, and a harmonic shaker treats "
+            f"There are none to explain here ({uneven:.1e}): our sector is its own mirror image, and a harmonic "
+            f"shaker treats "
             "both sides alike. The paper's blade is industrial and need not be symmetric.",
         ),
     ]
@@ -136,8 +139,7 @@ def draw(path: Path, profiles: dict) -> None:
 def check(figures: dict, verdicts: list) -> None:
     assert figures["dynamic: left against right"] < 1e-3
     assert 1.0 < figures["quasi_static: mean over the pull per pair"] < 3.0
-    assert [v.verdict for v in verdicts][0] == AGREES
-    assert [v.verdict for v in verdicts][3] == DIFFERS
+    assert (verdicts[0].verdict, verdicts[3].verdict) == (AGREES, DIFFERS)
 
 
 # %%

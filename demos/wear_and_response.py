@@ -88,11 +88,13 @@ def compare(figures: dict, friction, frequencies) -> list:
     loudest_near = max(abs(change("rms_tip_mm", f, 0.2)) for f in near)
     loudest_far = max(abs(change("rms_tip_mm", f, 0.2)) for f in far)
     first = lambda what, f: figures[f"{f:g} Hz, mu = 0.2"][what][0]  # noqa: E731
+    at_first = ", ".join(f"{first('J_T_um', f):g} micrometres at {f:g} Hz" for f in frequencies)
     return [
         judge(
             "Near resonance sliding generally increases with wear, more so for higher friction.",
             all(v > 0 for v in slides[1075.0]) and slides[1075.0][-1] > slides[1075.0][0],
-            f"Change of J_T: {both(slides)}. At 1000 Hz the joint with mu = 0.8 and more sticks throughout and does not wear.",
+            f"Change of J_T: {both(slides)}. At 1000 Hz the joint with mu = 0.8 and more sticks throughout and does "
+            f"not wear.",
         ),
         judge(
             "The lowest coefficient, mu = 0.2, exhibits a largely constant amount of sliding.",
@@ -116,12 +118,13 @@ def compare(figures: dict, friction, frequencies) -> list:
             "Off resonance, sliding and tip displacement are smaller for all wear.",
             max(max(figures[f"{f:g} Hz, mu = 0.2"]["J_T_um"]) for f in far)
             < min(min(figures[f"{f:g} Hz, mu = 0.2"]["J_T_um"]) for f in (1000.0, 1050.0) if f in frequencies),
-            "J_T at first for mu = 0.2: " + ", ".join(f"{first('J_T_um', f):g} micrometres ({f:g} Hz)" for f in frequencies),
+            f"J_T at first for mu = 0.2: {at_first}.",
         ),
         judge(
             "Tip displacement depends on wear more strongly near resonance than away from it.",
             loudest_near > loudest_far,
-            f"Largest change of the tip's RMS over {CYCLES} cycles: {loudest_near:.0%} near resonance, {loudest_far:.2%} at "
+            f"Largest change of the tip's RMS over {CYCLES} cycles: {loudest_near:.0%} near resonance, "
+            f"{loudest_far:.2%} at "
             f"{', '.join(f'{f:g}' for f in far)} Hz.",
         ),
     ]
