@@ -170,7 +170,7 @@ def draw(path: Path, every, higher: dict, flanks: dict, outward: np.ndarray) -> 
         axes.set_xlabel("place along the flank: 0 innermost, 1 outermost")
     for axes in grid[:, 0]:
         axes.invert_xaxis()
-    grid[0, 1].legend(fontsize=8)
+    grid[0, 1].legend(fontsize=7, ncols=5, loc="upper center", columnspacing=0.8, handlelength=1.0)
     figure.savefig(path, dpi=100)
 
 

@@ -152,8 +152,8 @@ def compare(figures: dict, friction) -> list:
             None if best is None else abs(best - 0.4) < 0.05,
             "Not searched in this run."
             if best is None
-            else f"Ours is mu = {best:g}, with a peak of {figures['its peak_mm']:g} mm at {figures['its peak_Hz']:g} Hz. "
-            "It depends on the shaker's force over the pull, which the paper does not give for its blade.",
+            else f"Ours is mu = {best:g}, with a peak of {figures['its peak_mm']:g} mm at {figures['its peak_Hz']:g} "
+            "Hz. It depends on the shaker's force over the pull, which the paper does not give for its blade.",
         ),
         judge(
             "Lower friction shifts the resonance downward and raises the displacement.",
