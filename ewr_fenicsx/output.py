@@ -26,7 +26,7 @@ from ewr_fenicsx.contact_state import classify_contact, list_histories
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
@@ -136,6 +136,9 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
     ):
         if history in list_histories(solution):
             fields[name] = solution.history(history, samples) / divisor
+    for name in list_histories(solution):
+        if name not in HISTORIES:  # a law of the user's own
+            fields[name] = solution.history(name, samples)
     return fields | {"contact_state": classify_contact(solution, samples).astype(float)}
 
 
@@ -177,6 +180,9 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
         columns["sliding_distance [m/cycle]"] = (
             np.abs(histories["slip_velocity"]).mean(axis=0) / solution.problem.frequency
         )
+    for name in histories:
+        if name not in HISTORIES:  # a law of the user's own, in its own unit
+            columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
     for code, name in enumerate(("open", "stick", "slip")):
         columns[f"{name}_share"] = (state == code).mean(axis=0)
     with path.open("w", newline="", encoding="utf-8") as file:

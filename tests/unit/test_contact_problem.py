@@ -143,7 +143,7 @@ def test_other_counts_of_values_are_refused():
     "arguments, message",
     [
         ({"normal": "unilatral"}, 'normal = "unilatral"; choose one of .*; did you mean "unilateral"'),
-        ({"tangential": "sticky"}, 'tangential = "sticky"; choose one of "coulomb", "frictionless", "bonded"'),
+        ({"tangential": "sticky"}, 'tangential = "sticky"; choose one of "bonded", "coulomb", "frictionless"'),
         ({"static_friction": "nought"}, 'static_friction = "nought"'),
         ({"friction": -0.1}, "friction = -0.1; it must be finite and not negative"),
         ({"friction": np.nan}, "friction = nan; it must be finite"),
