@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,9 @@ class PeriodicSolution:
         residual: Norm of the weighted residual over the natural force.
         seconds: Wall time of the solve.
         unknowns: Number of unknowns given to Newton, 0 for a linear problem.
+        stages: Wall time of the solve by stage [s].
+        left_out: Harmonics at which the contact forces are zero by symmetry, so that the solve did without.
+        why_left_out: By which symmetry.
     """
 
     problem: ContactProblem
@@ -46,6 +49,9 @@ class PeriodicSolution:
     residual: float
     seconds: float
     unknowns: int
+    stages: Mapping[str, float] = field(default_factory=dict, repr=False)
+    left_out: tuple[int, ...] = ()
+    why_left_out: str = ""
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -231,5 +237,7 @@ class PeriodicSolution:
             f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
             f"{self.seconds:.2f} s"
         ]
+        if self.left_out:
+            lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  fallback: {rung}" for rung in self.fallbacks]
         return "\n".join(lines)

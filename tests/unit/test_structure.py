@@ -18,7 +18,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
-    "elimination", "balance", "indicators", "solution", "continuation", "snes", "ladder", "newton",
+    "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
     "time_stepping", "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
     "contact_state", "gathering", "plots", "result_folder", "output", "cli", "__main__",
