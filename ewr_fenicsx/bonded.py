@@ -15,6 +15,7 @@ class BondedNormal(LawKind):
     """Neither gap nor penetration, whatever the force."""
 
     histories = ("normal_force",)
+    effect = "bonded parts"
     odd = blind_to_mean = True
 
     def holds(self, tangents: int) -> tuple[str, ...]:
@@ -35,6 +36,7 @@ class BondedTangential(LawKind):
     """No slip, whatever the force."""
 
     histories = ("friction_force",)
+    effect = "bonded parts"
     odd = blind_to_mean = True
 
     def holds(self, tangents: int) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ class DryFriction(LawKind):
     static_friction: str = "resolved"
     histories = ("friction_force", "admissible_friction_force", "slip", "slip_velocity")
     needs = ("normal",)
+    effect = "friction"
     odd = blind_to_mean = True
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:
@@ -57,6 +58,7 @@ class Frictionless(LawKind):
 
     histories = ("slip", "slip_velocity")
     slides = odd = blind_to_mean = True
+    effect = "frictionless flanks"
 
 
 @dataclass(frozen=True, eq=False)

@@ -150,6 +150,7 @@ class LawKind(Protocol):
     Everything has a default that suits a kind without rows, so a kind says only what is special about it.
 
     Attributes:
+        effect: What people call the effect that this kind brings; "" for its class's name.
         histories: Names of the histories that mean something where this kind rules.
         needs: Directions whose force its laws must know.
         slides: Whether pairs slip where no law says so; else they stick.
@@ -161,6 +162,7 @@ class LawKind(Protocol):
         friction: Coefficient of a Coulomb cone, scalar or ``(K,)``; zero where there is none.
     """
 
+    effect: ClassVar[str] = ""
     histories: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     slides: ClassVar[bool] = False

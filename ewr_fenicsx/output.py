@@ -104,7 +104,9 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution, steps: 
         steps: Equidistant instants ``k T / steps``; the end of the period, its beginning again, is left out.
     """
     domain, interface = chain.mesh.domain, chain.interface
-    times = np.arange(steps) / (steps * solution.problem.frequency)
+    if not np.any(solution.coordinates[np.array(solution.orders) > 0]):
+        steps = 1  # at rest
+    times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
     coordinates = (phase @ solution.coordinates).real
     to_vertices = vertex_interpolation(chain.structure.space, (2,))
@@ -177,8 +179,8 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
             for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
                 columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
     if "slip_velocity" in histories:
-        columns["sliding_distance [m/cycle]"] = (
-            np.abs(histories["slip_velocity"]).mean(axis=0) / solution.problem.frequency
+        columns["sliding_distance [m/cycle]"] = np.abs(histories["slip_velocity"]).mean(axis=0) / (
+            solution.problem.frequency or 1.0
         )
     for name in histories:
         if name not in HISTORIES:  # a law of the user's own, in its own unit
@@ -197,7 +199,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
     reduction, model = chain.reduction, chain.reduction.model
     index_map = chain.structure.space.dofmap.index_map
     return {
-        "scene": chain.scene.model_dump(mode="json"),
+        "scene": chain.scene.model_dump(mode="json", by_alias=True),
         "solution": {
             "converged": solution.converged,
             "reason": str(solution.reason),

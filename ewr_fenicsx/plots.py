@@ -225,7 +225,7 @@ def _caption(solution: PeriodicSolution) -> str:
     orders = solution.orders
     gapless = orders == tuple(range(orders[0], orders[-1] + 1))
     kept = f"{orders[0]} to {orders[-1]}" if gapless else ", ".join(map(str, orders))
-    return f"{solution.problem.frequency:g} Hz, harmonics {kept}"
+    return f"{solution.problem.frequency:g} Hz, harmonics {kept}" if any(orders) else "at rest"
 
 
 def _place_key(figure: Figure, grid: np.ndarray) -> None:
@@ -265,5 +265,10 @@ def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
             },
         )
         axes.plot(*(start + 1.1 * step), alpha=0)  # makes room for the arrow
-        time = f" at {load.harmonic * scene.excitation.frequency:g} Hz" if pulsating else ", static"
+        time = f" at {_say_frequency(scene, load.harmonic)} Hz" if pulsating else ", static"
         axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:g} N{time}")
+
+
+def _say_frequency(scene, harmonic: int) -> str:
+    ends = sorted({min(scene.frequencies), max(scene.frequencies)})
+    return " to ".join(f"{harmonic * end:g}" for end in ends)

@@ -21,6 +21,7 @@ class Prescribed(LawKind):
 
     normal_force: float | RealArray | Mapping[int, float | ComplexArray] = 0.0
     histories = ("normal_force",)
+    effect = "prescribed preload"
     odd = blind_to_mean = True
 
     def give_force(self, count: int) -> Mapping[int, ComplexArray]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
 import gmsh
+import h5py
 import numpy as np
 import pytest
 
@@ -141,3 +143,36 @@ def test_each_form_of_damping_dissipates(run, damping):
     merit = summary["solution"]["merit"]
     assert merit["viscous_dissipation"] > 0
     assert merit["excitation_work"] == pytest.approx(merit["viscous_dissipation"], rel=1e-6)
+
+
+def test_each_flank_has_its_own_laws(tmp_path):
+    """A dovetail bonded on its left flank and rubbing on its right one, through files."""
+    default = (ROOT / "demos" / "blade_root.toml").read_text()
+    text = default.replace("../geometry/fir_tree.py", str(ROOT / "geometry" / "dovetail.py"))
+    text += "\n[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n[flanks.right]\nfriction = 0.35\n"
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    with (tmp_path / "results" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    flank = {name: [row for row in rows if row["flank"] == name] for name in ("left", "right")}
+    assert summary["solution"]["unknowns"] == 2 * len(flank["right"]) * 11, "bonds hold the blade: nothing floats"
+    assert {row["stick_share"] for row in flank["left"]} == {"1.0"}
+    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["left"]) < 1e-15
+    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["right"]) > 1e-8
+    assert min(float(row["normal_force_min [N]"]) for row in flank["left"]) < 0, "a bond pulls"
+
+
+def test_a_static_scene_is_solved_at_rest(run, tmp_path):
+    text = SCENE.split("[loads.shake]")[0].format(source=BLOCKS)
+    (tmp_path / "rest.toml").write_text(text)
+    assert main(["run", str(tmp_path / "rest.toml"), "--out", str(tmp_path / "rest")]) == 0
+    summary = json.loads((tmp_path / "rest" / "summary.json").read_text())
+    pairs = summary["model"]["pairs"]
+    assert summary["solution"]["harmonics"] == [0]
+    assert summary["solution"]["unknowns"] == 2 * pairs + 3
+    with h5py.File(tmp_path / "rest" / "displacement.h5") as file:
+        assert len(file["Function"]["displacement"]) == 1
+    with (tmp_path / "rest" / "pairs.csv").open() as file:
+        forces = [float(row["normal_force_mean [N]"]) for row in csv.DictReader(file)]
+    assert sum(forces) == pytest.approx(1000.0, rel=1e-9)

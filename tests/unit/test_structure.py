@@ -19,7 +19,8 @@ ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
     "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
-    "time_stepping", "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene",
+    "time_stepping", "periodicity", "time_integration", "frequency_response", "wear", "scene_errors", "scene_entries",
+    "scene_joint", "scene_sense", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
     "contact_state", "gathering", "plots", "result_folder", "output", "cli", "__main__",
 ]
