@@ -76,22 +76,27 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
 def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr run``: from the scene to a result folder."""
     scene, folder = read_scene(arguments, comm)
-    from ewr_fenicsx.chain import Stopwatch, build_chain, pose_problem
-    from ewr_fenicsx.newton import solve
+    from ewr_fenicsx.chain import Stopwatch, build_chain
     from ewr_fenicsx.output import list_files, write_results
     from ewr_fenicsx.result_folder import check_target
+    from ewr_fenicsx.study import run_study
 
     check_target(folder, overwrite=arguments.overwrite, comm=comm)
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
-        watch = Stopwatch(progress)
-        with watch.stage("solve"), name_place(scene, chain.interface):
-            problem = pose_problem(scene, chain.reduction.model, chain.interface)
-            solution = solve(problem, tolerance=scene.solver.tolerance)
-        with watch.stage("write"):
-            files = write_results(folder, chain, solution, overwrite=arguments.overwrite)
+        with name_place(scene, chain.interface):
+            study = run_study(chain, progress)
+        with Stopwatch(progress).stage("write"):
+            files = write_results(
+                folder,
+                chain,
+                study.solution,
+                overwrite=arguments.overwrite,
+                seconds=study.seconds,
+                write_more=study.write,
+            )
     if comm.rank == 0:
-        print(solution.summary(), list_files(files), sep="\n\n")
+        print(study.told, list_files(files), sep="\n\n")
     return 0
 
 

@@ -6,6 +6,7 @@ draws; the other ranks only take part in the gathering.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import dolfinx
@@ -210,6 +211,18 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     grid[0, 0].legend(loc="upper right", fontsize=8)
     figure.suptitle(_caption(solution))
     _place_key(figure, grid)
+    figure.savefig(path, dpi=DPI)
+
+
+def draw_curves(path: Path, across: str, x: RealArray, series: Mapping[str, RealArray]) -> None:
+    """Some figures along a sweep or over cycles, one line each."""
+    figure = Figure(figsize=(7.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, values) in enumerate(series.items()):
+        axes.plot(x, values, ".-", color=FLANK_COLOURS[k % len(FLANK_COLOURS)], linewidth=1.2, label=name)
+    axes.set_xlabel(across)
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
     figure.savefig(path, dpi=DPI)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tomllib
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -156,7 +157,7 @@ class FrequencyRange(Section):
     """Frequencies at equal distances, both ends included."""
 
     from_: Positive = entry(..., "Hz", "Where the sweep begins.", alias="from")
-    to: Positive = entry(..., "Hz", "Where it ends; it may go downwards.")
+    to: Positive = entry(..., "Hz", "Where it ends.")
     points: Integer = entry(..., "-", "Number of frequencies.", ge=2)
 
     @model_validator(mode="after")
@@ -165,6 +166,8 @@ class FrequencyRange(Section):
             raise PydanticCustomError(
                 "range", "a sweep over one point; write frequency = {at}", {"at": format(self.from_, "g")}
             )
+        if self.from_ > self.to:
+            raise PydanticCustomError("range", "from should be below to; curves are followed past folds either way")
         return self
 
 
@@ -182,8 +185,8 @@ class Excitation(Section):
             if len(frequency) < 2:
                 at = f"{frequency[0]:g}" if frequency else "..."
                 raise PydanticCustomError("sweep", "a sweep over one point; write frequency = {at}", {"at": at})
-            if len(set(frequency)) != len(frequency):
-                raise PydanticCustomError("sweep", "should be distinct frequencies")
+            if any(a >= b for a, b in pairwise(frequency)):
+                raise PydanticCustomError("sweep", "should be frequencies that rise")
         return frequency
 
 
