@@ -32,7 +32,7 @@ def find_doubts(scene: Scene) -> Iterator[str]:
                 f"{where}.friction = 0: friction that never resists, at the cost of its unknowns; "
                 'was tangential = "frictionless" meant?'
             )
-    opening = [where for where, laws in joint.items() if laws.normal == "unilateral"]
+    opening = [where for where, c in joint.items() if c.normal == "unilateral" and c.initial_gap == 0]
     if opening and not static:
         yield (
             f'{opening[0]}.normal = "unilateral", and no load is static: nothing presses the joint together, and it '

@@ -207,7 +207,7 @@ class PeriodicSolution:
         work = indicators.measure_work(loads, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        rubbed = -period * np.sum(
+        rubbed = 0.0 - period * np.sum(
             np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[rubs]
         )
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)

@@ -12,7 +12,9 @@ from pathlib import Path
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve
+from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import find_idle_harmonics
 
 
 @dataclass(frozen=True)
@@ -22,12 +24,14 @@ class Study:
     Attributes:
         solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
         seconds: Time of each stage.
+        curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
         told: A few lines for people.
         write: Writes the study's own files into a folder; called on rank 0.
     """
 
     solution: PeriodicSolution
     seconds: Mapping[str, float]
+    curve: tuple[RealArray, RealArray] | None
     told: str
     write: Callable[[Path], None]
 
@@ -47,20 +51,22 @@ def run_study(chain: Chain, progress: Progress | None = None) -> Study:
     with watch.stage("solve"):
         problem = pose_problem(scene, chain.reduction.model, chain.interface)
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    return Study(solution, watch.seconds, solution.summary(), lambda folder: None)
+    return Study(solution, watch.seconds, None, solution.summary(), lambda folder: None)
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     from ewr_fenicsx.frequency_sweep import frequency_response
 
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
+    idle = find_idle_harmonics(pose_problem(scene, model, chain.interface))
+    kept = tuple(h for h in scene.harmonics if h not in idle.orders)
     settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
     with watch.stage("sweep"):
         curve = frequency_response(
             model,
             lay_laws(scene, chain.interface),
             scene.frequencies,
-            scene.solver.harmonics,
+            kept,
             watch.progress is not None,
             comm=comm,
             **settings,
@@ -79,10 +85,11 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
         draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series)
 
     told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
+    told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
-    return Study(strongest, watch.seconds, "\n".join(told), write)
+    return Study(strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
 
 
 def _wear(chain: Chain, watch: Stopwatch) -> Study:
@@ -117,4 +124,5 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
     ]
     told += [f"  stopped {history.stopped}"] if history.stopped else []
     last = history.solutions[-1]
-    return Study(last, watch.seconds, "\n".join([*told, f"worn: {last.summary()}"]), write)
+    course = history.cycles, history.depth.mean(axis=1)
+    return Study(last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)
