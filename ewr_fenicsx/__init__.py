@@ -14,6 +14,9 @@ _HOME = {
     "PeriodicSolution": "solution",
     "solve": "newton",
     "integrate": "time_integration",
+    "frequency_response": "frequency_sweep",
+    "evolve_wear": "wear",
+    "Tolerance": "wear",
     "load_scene": "scene",
     "build_reduced_model": "chain",
 }

@@ -93,9 +93,10 @@ def condense(
     modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
     for j, h in enumerate(orders):
-        responses[j, :, :m] = receptance(model, h * omega, readers, rows.T, generalised_inverse)
-        if h in load:
-            responses[j, :, m:] = receptance(model, h * omega, readers, load[h][:, None], generalised_inverse)
+        loaded = h in load and bool(np.any(load[h]))
+        if loaded or m:
+            forces = np.column_stack([rows.T, load[h]]) if loaded else rows.T
+            responses[j, :, : m + loaded] = receptance(model, h * omega, readers, forces, generalised_inverse)
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
         motion = readers @ modes
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)

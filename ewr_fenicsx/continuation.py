@@ -43,8 +43,11 @@ def trace_branch(
     *,
     step: float = 0.1,
     smallest_step: float = 1e-4,
+    largest_step: float = np.inf,
     tolerance: float = 1e-8,
     corrector_steps: int = 12,
+    before: BranchPoint | None = None,
+    stray: float = np.inf,
 ) -> Iterator[BranchPoint]:
     """Follow a branch from a converged point, until the consumer stops or a step fails at the smallest size.
 
@@ -53,21 +56,58 @@ def trace_branch(
         start: A converged point.
         span: Parameter range that counts as one unit of length; its sign is the first direction.
         step: First step, in units of arc length.
-        smallest_step: Below this the branch ends.
+        smallest_step: Below this the branch ends, unless it turns a corner there.
+        largest_step: No step is longer than this.
         tolerance: Residual norm of accepted points.
         corrector_steps: Newton steps allowed a point.
+        before: The branch's last point before ``start``, through which the first secant goes; None: the first step
+            changes the parameter alone, which misses the branch where it is close to a fold.
+        stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
+            corners are turned: non-smooth laws make branches turn back on themselves in a point.
     """
-    here, tangent = start, np.append(np.zeros(start.unknowns.size), 1.0)
+    here, tangent, turned = start, np.append(np.zeros(start.unknowns.size), 1.0), False
+    if before is not None:
+        tangent = _point_to(before, start, span)
     while step >= smallest_step:
         found = _correct(balance_at, here, tangent, step, span, tolerance, corrector_steps)
+        if found is not None and measure_arc(here, found, span) > stray * step:
+            found = None
+        if found is None and 0.5 * step < smallest_step and np.isfinite(stray) and not turned:
+            corner = _turn_corner(balance_at, here, tangent, 4 * smallest_step, span)
+            if corner is not None:
+                tangent, step, turned = corner, 200 * smallest_step, True
+                continue
         if found is None:
             step *= 0.5
             continue
-        secant = np.append(found.unknowns - here.unknowns, (found.parameter - here.parameter) / span)
-        tangent = secant / np.linalg.norm(secant)
+        tangent, turned = _point_to(here, found, span), False
         yield found
         here = found
-        step *= 1.6 if found.steps <= 5 else 1.0 if found.steps <= 8 else 0.7
+        step = min(largest_step, step * (1.6 if found.steps <= 5 else 1.0 if found.steps <= 8 else 0.7))
+
+
+def measure_arc(a: BranchPoint, b: BranchPoint, span: float) -> float:
+    """Distance of two points with the parameter in units of ``span``."""
+    return float(np.hypot(np.linalg.norm(b.unknowns - a.unknowns), (b.parameter - a.parameter) / span))
+
+
+def _point_to(a: BranchPoint, b: BranchPoint, span: float) -> RealArray:
+    return np.append(b.unknowns - a.unknowns, (b.parameter - a.parameter) / span) / measure_arc(a, b, span)
+
+
+def _turn_corner(
+    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, beyond: float, span: float
+) -> RealArray | None:
+    """Where a branch goes from a corner just ahead, if back: the tangent of the smooth piece that begins there."""
+    z, s = here.unknowns + beyond * tangent[:-1], here.parameter + beyond * tangent[-1] * span
+    linear = balance_at(s).linearise(z)
+    slope = (balance_at(s + _DERIVATIVE_STEP * span).residual(z) - linear.residual) / _DERIVATIVE_STEP
+    try:
+        onward = np.append(-linear.solve(slope), 1.0)
+    except np.linalg.LinAlgError:
+        return None
+    onward *= -np.sign(onward @ tangent) / np.linalg.norm(onward)
+    return None if onward @ tangent < -1 + 1e-6 else onward  # the way that it came
 
 
 def _correct(

@@ -15,6 +15,7 @@ import numpy as np
 from ewr_fenicsx.compliance import DynamicCompliance
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.law_kinds import Variable
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
@@ -54,8 +55,18 @@ class Derivative:
 
     rows: np.ndarray  # (K,)
     columns: np.ndarray  # (K,)
-    variable: str  # "force", "displacement" or "velocity"
+    variable: Variable
     values: RealArray  # (n_t, K)
+
+    @property
+    def by_force(self) -> bool:
+        """By a force or its rate, else by a motion."""
+        return self.variable in ("force", "force_rate")
+
+    @property
+    def by_rate(self) -> bool:
+        """By a derivative in time."""
+        return self.variable in ("velocity", "force_rate")
 
 
 def apply_harmonics(basis: FourierBasis, T: RealArray, V: ComplexArray) -> RealArray:
@@ -127,13 +138,13 @@ class Elimination:
             for d in derivatives:
                 pick = np.flatnonzero(place[d.rows] >= 0)
                 at, columns, value = place[d.rows[pick]], d.columns[pick], d.values[0, pick]
-                if d.variable == "force":
+                if d.by_rate:
+                    value = value * balance.rate[j]
+                if d.by_force:
                     A[at, columns] += value
                     continue
-                if d.variable == "velocity":
-                    value = value * balance.rate[j]
-                    if h == 0:
-                        value = value + balance.static_displacement_row[d.rows[pick]]
+                if d.by_rate and h == 0:
+                    value = value + balance.static_displacement_row[d.rows[pick]]
                 A[at] += value[:, None] * H[columns]
                 A[at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
                 if h == 0:
@@ -151,13 +162,13 @@ class Elimination:
                 rigid[:] = solved[:, mixed.size + 1 :].real
         return cls(balance, c, mixed, reaction, offset, rigid)
 
-    def follow(self, variable: str, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
+    def follow(self, by_force: bool, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
         """Forces or motions at ``columns`` ``(K,)``: on the mixed forces, by themselves, and on the rigid coordinates.
 
         Returns:
             ``(n_h, K, M)``, ``(n_h, K)`` and ``(K, r)``.
         """
-        if variable == "force":
+        if by_force:
             place = np.searchsorted(self.steady, columns)
             return -self.reaction[:, place], self.offset[:, place], -self.rigid[place]
         H = self.balance.compliance.flexibility[:, columns]

@@ -24,6 +24,7 @@ from ewr_fenicsx.ladder import (
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 
 
 def solve(
@@ -41,6 +42,8 @@ def solve(
     from the default weights to those asked for; laws with rounded corners that are sharpened step by step; and both
     through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds.
 
+    Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
+
     Args:
         problem: The problem.
         start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
@@ -53,7 +56,9 @@ def solve(
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
     begin = time.perf_counter()
+    asked, problem = problem, leave_out_idle(problem, start)
     system = problem.system
+    composed = time.perf_counter()
     balance, attempts, tried = None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
@@ -63,7 +68,11 @@ def solve(
             if attempts[-1].converged:
                 break
     fallbacks = tuple(tried) if len(tried) > 1 else ()
-    solution = wrap(problem, balance, attempts, fallbacks, time.perf_counter() - begin)
+    end = time.perf_counter()
+    solution = include_idle(wrap(problem, balance, attempts, fallbacks, end - begin), asked)
+    solution = replace(
+        solution, stages={"compose": composed - begin} | ({"newton": end - composed} if attempts else {})
+    )
     if raise_on_failure and not solution.converged:
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "

@@ -143,3 +143,51 @@ def transform_coordinates(model: ReducedModel, basis: np.ndarray) -> ReducedMode
         rigid_modes=None,
         outputs={name: row @ basis for name, row in model.outputs.items()},
     )
+
+
+def stop_oscillator(*, excitation: complex = 0.08, damping: float = 0.04, stop_stiffness: float = 1.0) -> ReducedModel:
+    """One mass on a spring that meets a springy stop: the stop's massless end touches a wall across an initial gap.
+
+    ``x'' + damping x' + x + stop_stiffness max(0, x - gap) = excitation cos``: as the gap closes the resonance bends to
+    higher frequencies and its curve folds.
+    """
+    k = stop_stiffness
+    return ReducedModel(
+        mass=np.diag([1.0, 0.0]),
+        damping=np.diag([damping, 0.0]),
+        stiffness=[[1.0 + k, -k], [-k, k]],
+        normal=[[0.0, -1.0]],
+        load={1: [excitation, 0.0]},
+        outputs={"tip": [1.0, 0.0]},
+    )
+
+
+def winkler_punch(
+    *,
+    load: float = 200.0,
+    swing: float = 5e-6,
+    stiffness: float = 1e12,
+    pairs: int = 5,
+    area: float = 2e-5,
+    frequency: float = 100.0,
+) -> ReducedModel:
+    """A rigid punch, pressed on a Winkler foundation by ``load`` [N] and swung along it: its pressure is known exactly.
+
+    Coordinates: the punch's motion along and across, then the foundation's surface at each pair. At ``frequency`` [Hz]
+    the punch swings by ``swing`` [m]. ``stiffness`` is the foundation's, in pressure per depth [Pa/m].
+    """
+    springs = np.full(pairs, stiffness * area)
+    rows = np.hstack([np.zeros((pairs, 1)), np.ones((pairs, 1)), -np.eye(pairs)])
+    return ReducedModel(
+        mass=np.diag([1.0, 1.0, *np.zeros(pairs)]),
+        damping=np.zeros((pairs + 2,) * 2),
+        stiffness=np.diag([1e6, 0.0, *springs]),
+        normal=rows,
+        tangential=np.eye(pairs + 2)[[0] * pairs],
+        load={
+            0: [0.0, -load, *np.zeros(pairs)],
+            1: [swing * (1e6 - (2 * np.pi * frequency) ** 2), *np.zeros(pairs + 1)],
+        },
+        pair_area=np.full(pairs, area),
+        outputs={"tip": np.eye(pairs + 2)[0]},
+    )

@@ -1,0 +1,71 @@
+"""Archard's law on a periodic solution: how deep a cycle wears each pair, and how many cycles one may jump at a time.
+
+Wear follows the pressure, the nodal force over its tributary area: with forces it would depend on the mesh.
+
+Source: Archard (1953), doi:10.1063/1.1721448.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+
+SAMPLES = 1024  # of the period, for integrals over a cycle
+
+
+def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
+    """Depth worn a cycle at each pair, ``k_w`` times the integral of ``p |v|`` over the period, ``(K_c,)`` [m].
+
+    Args:
+        solution: Its ``p = max(0, lam_N) / A`` is the pressure [Pa].
+        coefficient: ``(K_c,)`` wear coefficients ``k_w`` [1/Pa].
+    """
+    period = 1 / solution.problem.frequency
+    pressure = np.maximum(0.0, solution.history("normal_force", SAMPLES)) / solution.problem.model.pair_area
+    return coefficient * period * np.mean(pressure * np.abs(solution.history("slip_velocity", SAMPLES)), axis=0)
+
+
+def find_wearing_pairs(problem: ContactProblem) -> np.ndarray:
+    """``(K_c,)`` which pairs can wear: those whose normal law knows a gap."""
+    return problem.opens
+
+
+def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
+    """By how much a worn depth slows its own growth, ``diag(k_w s) K_c``, ``(K_c, K_c)`` [1/cycle].
+
+    ``s`` is the sliding distance a cycle and ``K_c`` the mean contact stiffness, pressure per depth, of the pairs that
+    are ever closed, with floating bodies free to follow.
+
+    Args:
+        solution: The state.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+    """
+    problem, system = solution.problem, solution.problem.system
+    touches = solution.history("normal_force", SAMPLES).max(axis=0) > 0
+    pairs = np.flatnonzero(touches & find_wearing_pairs(problem) & (coefficient > 0))
+    decay = np.zeros((problem.model.pairs,) * 2)
+    if not pairs.size or not system.basis.has_mean:
+        return decay
+    rows = system.row_of("normal", pairs)
+    flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)]
+    G = system.compliance.rigid_motion[rows]
+    free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
+    stiffness = free @ np.linalg.pinv(free.T @ flexibility @ free, rcond=1e-10, hermitian=True) @ free.T
+    sliding = np.mean(np.abs(solution.history("slip_velocity", SAMPLES)[:, pairs]), axis=0) / problem.frequency
+    weight = coefficient[pairs] * sliding / problem.model.pair_area[pairs]
+    decay[np.ix_(pairs, pairs)] = weight[:, None] * stiffness
+    return decay
+
+
+def find_explicit_limit(decay: RealArray) -> float:
+    """Longest stable explicit jump in cycles, ``2 / lambda_max``; past it worn surfaces oscillate.
+
+    Args:
+        decay: ``(K_c, K_c)`` of ``find_wear_stiffness``.
+    """
+    fastest = float(np.linalg.eigvals(decay).real.max(initial=0.0))
+    return 2 / fastest if fastest > 0 else np.inf

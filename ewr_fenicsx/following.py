@@ -1,0 +1,228 @@
+"""From a solution to its neighbours: along a parameter step by step, round folds by arc length.
+
+A step is accepted where the solution found lies near the one predicted; a Newton run that lands on another branch does
+not, however well it converged. Steps are halved until they are accepted. Where even the smallest is not, the branch
+turns back: it is traced by arc length through its folds until it passes the parameter wanted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.continuation import BranchPoint, measure_arc, trace_branch
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.newton import solve, wrap
+from ewr_fenicsx.reduced_model import ComplexArray
+from ewr_fenicsx.snes import Attempt, run_newton
+from ewr_fenicsx.solution import PeriodicSolution
+
+NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near; up to so many, steps may grow
+LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
+SMALLEST_STEP = 2e-5  # of the frequency
+TRACED_POINTS = 600
+SAME = 1e-5  # relative distance of two results of the same solve from different starts
+
+
+@dataclass(frozen=True, eq=False)
+class Jump:
+    """Where a curve is broken: two frequencies [Hz] between which no branch was found, and what was tried."""
+
+    frequency: tuple[float, float]
+    why: str
+
+
+@dataclass(eq=False)
+class Curve:
+    """Solutions along one branch in its own order, in which frequencies run back between folds."""
+
+    points: list[PeriodicSolution] = field(default_factory=list)
+    jumps: list[Jump] = field(default_factory=list)
+
+    def extend(self, other: Curve, first: int = 0) -> None:
+        """Append another curve from its point ``first`` on."""
+        self.points += other.points[first:]
+        self.jumps += other.jumps
+
+
+def solve_from(
+    problem: ContactProblem,
+    latest: PeriodicSolution,
+    earlier: PeriodicSolution | None = None,
+    ratio: float = 1.0,
+    tolerance: float = 1e-8,
+) -> PeriodicSolution:
+    """Solve a problem from one or two neighbours on its branch, with a secant predictor and never from cold.
+
+    Forces *and* motions are extrapolated, the laws linearised there, and one Newton step makes the two fit.
+
+    Args:
+        problem: With the model, kinds of laws and harmonics of its neighbours.
+        latest: The nearest neighbour.
+        earlier: The one before, or None: no secant.
+        ratio: Parameter step to the problem over that from ``earlier`` to ``latest``.
+        tolerance: As in ``solve``.
+
+    Returns:
+        The solution or, not ``converged``, the best iterate.
+    """
+    begin = time.perf_counter()
+    if not problem.system.rows.shape[0]:
+        return solve(problem)
+    balance = HarmonicBalance(problem.system)
+    forces, motion, rigid = latest.forces, read_motion(latest), latest.rigid
+    if earlier is not None:
+        forces = forces + ratio * (forces - earlier.forces)
+        motion = motion + ratio * (motion - read_motion(earlier))
+        rigid = rigid + ratio * (rigid - earlier.rigid)
+    unknowns = balance.pack(forces, rigid)
+    step = balance.linearise(unknowns, motion)
+    try:
+        unknowns = unknowns - step.solve(step.residual)
+    except np.linalg.LinAlgError:
+        unknowns = balance.pack(latest.forces, latest.rigid)
+    attempt = run_newton(balance, unknowns, tolerance, "elimination", NEWTON_STEPS)
+    return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
+
+
+def read_motion(solution: PeriodicSolution) -> ComplexArray:
+    """Motion amplitudes ``(n_h, m)`` of the contact rows [m]."""
+    return solution.problem.system.compliance.motion(solution.forces, solution.rigid)
+
+
+def read_state(solution: PeriodicSolution) -> ComplexArray:
+    """What oscillates at the contact rows, ``(n_h, m)`` [m]: motion, and force by flexibility, where one may vanish."""
+    system = solution.problem.system
+    oscillates = np.array(system.basis.orders)[:, None] > 0
+    return oscillates * (read_motion(solution) + system.flexibility * solution.forces)
+
+
+def measure_distance(a: ComplexArray, b: ComplexArray) -> float:
+    """Distance of two states over the larger one."""
+    size = max(np.linalg.norm(a), np.linalg.norm(b))
+    return float(np.linalg.norm(a - b) / size) if size else 0.0
+
+
+def agree(a: PeriodicSolution, b: PeriodicSolution) -> bool:
+    """Whether two solutions of the same problem are one."""
+    return measure_distance(read_state(a), read_state(b)) <= SAME
+
+
+@dataclass(frozen=True, eq=False)
+class Follower:
+    """Follows a branch of solutions along the frequency.
+
+    Args:
+        problem_at: Frequency [Hz] -> problem.
+        lowest, highest: Range of the whole curve [Hz]; its width is the unit of arc length.
+        refine: Largest relative change of state between neighbouring points that are kept, or None: only the targets
+            are kept.
+        tolerance: As in ``solve``.
+    """
+
+    problem_at: Callable[[float], ContactProblem]
+    lowest: float
+    highest: float
+    refine: float | None = None
+    tolerance: float = 1e-8
+
+    def follow(self, start: Sequence[PeriodicSolution], targets: Sequence[float]) -> Curve:
+        """The branch from its last point or points to each of the rising ``targets`` in turn; these left out."""
+        curve = Curve()
+        here, before = start[-1], start[-2] if len(start) > 1 else None
+        reach = np.inf
+        for target in targets:
+            while here.problem.frequency != target:
+                f = min(target, here.problem.frequency + reach)
+                f = target if target - f < SMALLEST_STEP * target else f
+                found, surprise, change = self._step(f, here, before)
+                tiny = f - here.problem.frequency <= SMALLEST_STEP * f
+                if surprise > LARGEST_SURPRISE and tiny:
+                    traced = self._trace(here, before, target)
+                    curve.extend(traced)
+                    reach = np.inf
+                    if not traced.points:
+                        break  # no solution at this target: on to the next
+                    here, before = traced.points[-1], (traced.points[-2:-1] or [here])[0]
+                    if traced.jumps:
+                        before = None
+                    continue
+                if surprise > LARGEST_SURPRISE or (self.refine and change > self.refine and not tiny):
+                    reach = 0.5 * (f - here.problem.frequency)
+                    continue
+                if self.refine or f == target:
+                    curve.points.append(found)
+                easy = surprise < 0.5 * LARGEST_SURPRISE and found.iterations <= FEW_STEPS
+                reach = (2.0 if easy else 1.0) * (f - here.problem.frequency)
+                here, before = found, here
+        return curve
+
+    def _step(self, f: float, here: PeriodicSolution, before: PeriodicSolution | None) -> tuple:
+        """Solution at a frequency, its distance from its prediction and from the point before it."""
+        ratio = 1.0
+        if before is not None:
+            gone = here.problem.frequency - before.problem.frequency
+            ratio = (f - here.problem.frequency) / gone if gone > 0 else 0.0
+        found = solve_from(self.problem_at(f), here, before, ratio, self.tolerance)
+        if not found.converged:
+            return found, np.inf, np.inf
+        state, last = read_state(found), read_state(here)
+        change = measure_distance(state, last)
+        if before is None:
+            return found, change, change
+        return found, min(change, measure_distance(state, last + ratio * (last - read_state(before)))), change
+
+    def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
+        """Arc-length continuation from a point next to a fold until the branch passes ``target``; ends with that."""
+        unit = HarmonicBalance(here.problem.system).force_unit
+        span = self.highest - self.lowest
+
+        def balance_at(frequency: float) -> HarmonicBalance:
+            return HarmonicBalance(self.problem_at(frequency).system, unit)
+
+        def as_branch_point(solution: PeriodicSolution) -> BranchPoint:
+            balance = balance_at(solution.problem.frequency)
+            return BranchPoint(solution.problem.frequency, balance.pack(solution.forces, solution.rigid), 0)
+
+        curve, why = Curve(), "the branch was lost by arc-length continuation"
+        last = None if before is None else as_branch_point(before)
+        point = as_branch_point(here)
+        first = 0.05 if last is None else max(1e-6, measure_arc(last, point, span))
+        branch = trace_branch(
+            balance_at, point, span, step=first, smallest_step=1e-7, largest_step=0.1, before=last, stray=3.0
+        )
+        for point in branch:
+            if not self.lowest - 0.1 * span <= point.parameter <= self.highest + 0.1 * span:
+                why = f"the branch left the range of frequencies at {point.parameter:g} Hz"
+                break
+            if len(curve.points) >= TRACED_POINTS:
+                why = f"{TRACED_POINTS} points of arc-length continuation did not reach it"
+                break
+            traced = self._wrap(point, balance_at)
+            if point.parameter >= target:
+                earlier = curve.points[-1] if curve.points else here
+                ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)
+                found = solve_from(self.problem_at(target), traced, earlier, ratio, self.tolerance)
+                if found.converged:
+                    curve.points.append(found)
+                    return curve
+                why = f"past its folds, the branch was lost before {target:g} Hz"
+                break
+            curve.points.append(traced)
+        # what was traced so far is on no way to the target
+        try:
+            cold = solve(self.problem_at(target), tolerance=self.tolerance)
+        except NotConverged as error:
+            return Curve([], [Jump((here.problem.frequency, target), f"{why}; {error}")])
+        return Curve([cold], [Jump((here.problem.frequency, target), f"{why}; solved from cold")])
+
+    def _wrap(self, point: BranchPoint, balance_at: Callable[[float], HarmonicBalance]) -> PeriodicSolution:
+        balance = balance_at(point.parameter)
+        residual = float(np.linalg.norm(balance.residual(point.unknowns)))
+        attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", True)
+        return wrap(self.problem_at(point.parameter), balance, [attempt], (), 0.0)

@@ -1,0 +1,271 @@
+"""``frequency_response``: periodic solutions over a range of frequencies, round the folds where the curve has any.
+
+The given frequencies are cut into blocks. Each block starts cold at its first frequency and follows its branch to the
+first frequency of the next one. Blocks know nothing of each other: ranks share them, and finished ones stay on disk.
+Where the end of a block and the start of the next are two solutions (a fold lies between), the branch is followed on
+from the former. So the curve is the one that a single sweep would give, however many ranks made it.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+
+from ewr_fenicsx.contact_laws import ContactLaws
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
+from ewr_fenicsx.following import Curve, Follower, Jump, agree
+from ewr_fenicsx.newton import solve
+from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution_store import Record, fingerprint, read_records, replace_file, restore, strip, write_records
+from ewr_fenicsx.task_sharing import share_tasks
+
+BLOCK = 6  # given frequencies a block
+_FORMAT = "ewr_fenicsx frequency response, 1"
+
+Laws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Periodic solutions along a curve.
+
+    Attributes:
+        solutions: In the order of the curve: where it folds, frequencies run back for a while.
+        jumps: Where the curve is broken because no branch led on; empty as a rule.
+        missing: Given frequencies without a solution [Hz]; empty as a rule.
+    """
+
+    solutions: tuple[PeriodicSolution, ...]
+    jumps: tuple[Jump, ...]
+    missing: tuple[float, ...]
+
+    @cached_property
+    def frequencies(self) -> RealArray:
+        """``(n,)`` [Hz]."""
+        return np.array([s.problem.frequency for s in self.solutions])
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(n, n_h)`` of a named output.
+
+        Raises:
+            ModelError: The model has no such output.
+        """
+        return np.array([s.output(name) for s in self.solutions])
+
+    def figure(self, name: str) -> RealArray:
+        """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
+
+        Raises:
+            ModelError: There is no such figure.
+        """
+        known = self.solutions[0].merit if self.solutions else {}
+        if name not in known:
+            raise ModelError(f'no figure "{name}"; there are {", ".join(known)}')
+        return np.array([s.merit[name] for s in self.solutions])
+
+    def table(self) -> dict[str, RealArray]:
+        """Column -> ``(n,)``: frequency, amplitude of every output's harmonics, figures of merit, Newton steps."""
+        columns = {"frequency [Hz]": self.frequencies}
+        for name in self.solutions[0].problem.model.outputs if self.solutions else ():
+            for h, amplitude in zip(self.solutions[0].orders, self.output(name).T, strict=True):
+                columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
+        if self.solutions:
+            columns |= {name: self.figure(name) for name in self.solutions[0].merit}
+        columns["Newton steps"] = np.array([s.iterations for s in self.solutions])
+        columns["residual"] = np.array([s.residual for s in self.solutions])
+        return columns
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write ``table`` as CSV, a row a solution."""
+        columns = self.table()
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
+
+    def write(self, group: h5py.Group) -> None:
+        """Write forces, rigid coordinates, table and breaks to an HDF5 group."""
+        write_records(group, [strip(s) for s in self.solutions])
+        table = group.create_group("table")
+        for name, values in self.table().items():
+            table[name.replace("/", " per ")] = values
+        group["missing"] = np.array(self.missing)
+        group["jumps"] = np.array([jump.frequency for jump in self.jumps]).reshape(-1, 2)
+        group.attrs["jumps"] = [jump.why for jump in self.jumps]
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A task: follow one curve from the first of some frequencies to the last."""
+
+    label: object
+    number: int
+    frequencies: tuple[float, ...]
+
+
+def frequency_response(
+    model: ReducedModel,
+    laws: Laws | Mapping[object, Laws],
+    frequencies: Sequence[float],
+    harmonics: int | Sequence[int] = 5,
+    progress: bool = True,
+    *,
+    refine: float | None = None,
+    tolerance: float = 1e-8,
+    folder: str | Path | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    **settings: object,
+) -> FrequencyResponse | dict[object, FrequencyResponse]:
+    """Frequency response of a joint; collective, with the same result on every rank whatever their number.
+
+    Args:
+        model: The structure, the same on every rank.
+        laws: Laws at the pairs; or several by the value of a parameter, ``{mu: ContactLaws(friction=mu), ...}``.
+        frequencies: Rising [Hz]. The curve has a solution at each and, where it folds, those of the fold as well.
+        harmonics: As in ``ContactProblem``.
+        progress: Whether rank 0 shows how far it is and how long the rest will take.
+        refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
+            points are inserted between the given ones until it holds. None: none are.
+        tolerance: As in ``solve``.
+        folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as they are finished. A
+            run that was interrupted goes on from the blocks that it finds. None: nothing is written.
+        comm: Ranks that share the work.
+        settings: Further arguments of ``ContactProblem``: samples, weights, loads, wear.
+
+    Returns:
+        The curve; with several laws a dictionary of curves by the same keys.
+
+    Raises:
+        ModelError: Frequencies do not rise, or the problem makes no sense.
+        OutputError: ``folder`` holds blocks of another run.
+    """
+    targets = tuple(float(f) for f in frequencies)
+    if not targets or not all(a < b for a, b in pairwise(targets)) or targets[0] <= 0:
+        raise ModelError(f"frequencies {list(targets)[:5]} ...; give positive ones that rise")
+    family = dict(laws) if isinstance(laws, Mapping) else {None: laws}
+    common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
+
+    def make_follower(label: object) -> Follower:
+        problem_at = lambda f: replace(common, laws=family[label], frequency=float(f))  # noqa: E731
+        return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
+
+    followers = {label: make_follower(label) for label in family}
+    cuts = [*range(0, max(1, len(targets) - 1), BLOCK)]
+    pieces = [targets[i : i + BLOCK + 1] for i in cuts]
+    blocks = [_Block(label, n, piece) for label in family for n, piece in enumerate(pieces)]
+    store = None
+    if folder is not None:
+        stated = fingerprint(common, family, targets, refine, tolerance)
+        store = _BlockStore(Path(folder) / "blocks", stated, list(family))
+
+    def work(block: _Block) -> tuple[list[Record], list[Jump]]:
+        known = store.read(block) if store else None
+        return known or _solve_block(followers[block.label], block, store)
+
+    with count_progress("frequency response", len(blocks), progress and comm.rank == 0) as report:
+        results = share_tasks(blocks, work, comm, report)
+        report(len(blocks))
+    curves = {}
+    for label, follower in followers.items():
+        own = [r for block, r in zip(blocks, results, strict=True) if block.label == label]
+        curve = _join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower)
+        found = {s.problem.frequency for s in curve.points}
+        missing = tuple(f for f in targets if f not in found)
+        curves[label] = FrequencyResponse(tuple(curve.points), tuple(curve.jumps), missing)
+    if folder is not None and comm.rank == 0:
+        _write_results(Path(folder), curves)
+    comm.Barrier()
+    return curves if isinstance(laws, Mapping) else curves[None]
+
+
+def _solve_block(follower: Follower, block: _Block, store: _BlockStore | None) -> tuple[list[Record], list[Jump]]:
+    curve = Curve()
+    for i, f in enumerate(block.frequencies):
+        try:
+            curve.points.append(solve(follower.problem_at(f), tolerance=follower.tolerance))
+        except NotConverged:
+            continue  # it will be among the missing; the block begins at the next frequency
+        curve.extend(follower.follow(curve.points, block.frequencies[i + 1 :]))
+        break
+    result = [strip(s) for s in curve.points], curve.jumps
+    if store:
+        store.write(block, *result)
+    return result
+
+
+def _rebuild(problem_at: Callable[[float], ContactProblem], records: list[Record], jumps: list[Jump]) -> Curve:
+    return Curve([restore(problem_at(record.frequency), record) for record in records], list(jumps))
+
+
+def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: Follower) -> Curve:
+    """One curve of all blocks: where two do not meet, the branch of the former is followed until they do."""
+    curve = Curve()
+    for part, targets in zip(parts, pieces, strict=True):
+        if not curve.points or not part.points:
+            curve.extend(part)
+            continue
+        for k, target in enumerate(targets):
+            if k:
+                curve.extend(follower.follow(curve.points[-2:], [target]))
+            here = curve.points[-1]
+            same = [i for i, s in enumerate(part.points) if s.problem.frequency == here.problem.frequency]
+            meets = [i for i in same if agree(part.points[i], here)]
+            if meets:
+                curve.extend(part, meets[-1] + 1)
+                break
+    return curve
+
+
+class _BlockStore:
+    """Finished blocks on disk, one file each."""
+
+    def __init__(self, folder: Path, stated: str, labels: list):
+        self.folder, self.stated, self.labels = folder, stated, labels
+
+    def _path(self, block: _Block) -> Path:
+        return self.folder / f"{self.labels.index(block.label):03d}_{block.number:04d}.h5"
+
+    def write(self, block: _Block, records: list[Record], jumps: list[Jump]) -> None:
+        with replace_file(self._path(block)) as file:
+            file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
+            if records:
+                write_records(file.create_group("points"), records)
+            file["jumps"] = np.array([jump.frequency for jump in jumps]).reshape(-1, 2)
+            file.attrs["jumps"] = [jump.why for jump in jumps]
+
+    def read(self, block: _Block) -> tuple[list[Record], list[Jump]] | None:
+        path = self._path(block)
+        if not path.exists():
+            return None
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("stated") != self.stated:
+                raise OutputError(
+                    f"{path} belongs to a run with another model, laws or settings; give another folder or remove it"
+                )
+            records = read_records(file["points"]) if "points" in file else []
+            jumps = [Jump(tuple(f), str(w)) for f, w in zip(file["jumps"][()], file.attrs["jumps"], strict=True)]
+            return records, jumps
+
+
+def _write_results(folder: Path, curves: Mapping[object, FrequencyResponse]) -> None:
+    with replace_file(folder / "frequency_response.h5") as file:
+        file.attrs["format"] = _FORMAT
+        for number, (label, curve) in enumerate(curves.items()):
+            group = file.create_group(f"curve_{number}")
+            group.attrs["label"] = "" if label is None else str(label)
+            if curve.solutions:
+                curve.write(group)
+    for number, curve in enumerate(curves.values()):
+        name = "frequency_response.csv" if len(curves) == 1 else f"frequency_response_{number}.csv"
+        curve.write_csv(folder / name)

@@ -1,0 +1,44 @@
+"""Progress of long runs on the terminal: how much is done, and how long the rest will take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def count_progress(title: str, total: int, shown: bool) -> Iterator[Callable[[int], None]]:
+    """A bar on standard error with the time that remains; where that is no terminal, only its last state.
+
+    Args:
+        title: What is counted.
+        total: How much there is to do.
+        shown: Whether to show anything at all.
+
+    Returns:
+        A function to call with the amount done so far.
+    """
+    if not shown:
+        yield lambda done: None
+        return
+    from rich.console import Console  # only for those who watch
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True, highlight=False)) as display:
+        task = display.add_task(title, total=total)
+        yield lambda done: display.update(task, completed=done)

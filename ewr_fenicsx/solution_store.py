@@ -1,0 +1,123 @@
+"""Periodic solutions on disk and on their way between ranks: numbers only, the problem is stated anew.
+
+Files are complete or not there: they are written under another name and take their place in one move.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+
+_NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
+_TEXTS = ("reason", "fallbacks")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A ``PeriodicSolution`` without its problem; attributes as there."""
+
+    frequency: float
+    forces: ComplexArray
+    rigid: RealArray
+    converged: bool
+    reason: str
+    iterations: int
+    fallbacks: tuple[str, ...]
+    residual: float
+    seconds: float
+    unknowns: int
+
+
+def strip(solution: PeriodicSolution) -> Record:
+    """What must be kept of a solution to have it back with ``restore``."""
+    kept = {f.name: getattr(solution, f.name) for f in fields(Record) if f.name != "frequency"}
+    return Record(frequency=solution.problem.frequency, **kept)
+
+
+def restore(problem: ContactProblem, record: Record) -> PeriodicSolution:
+    """The solution of ``problem`` that ``strip`` took apart."""
+    return PeriodicSolution(problem, **{f.name: getattr(record, f.name) for f in fields(Record)[1:]})
+
+
+def write_records(group: h5py.Group, records: Sequence[Record]) -> None:
+    """Write records of one model, laws and harmonics to an HDF5 group: one array for each attribute."""
+    group["frequency"] = np.array([r.frequency for r in records])
+    for name in ("forces", "rigid", *_NUMBERS):
+        group[name] = np.array([getattr(r, name) for r in records])
+    for name in _TEXTS:
+        group[name] = [json.dumps(getattr(r, name)) for r in records]
+
+
+def read_records(group: h5py.Group) -> list[Record]:
+    """Read what ``write_records`` wrote."""
+    arrays = {name: group[name][()] for name in ("frequency", "forces", "rigid", *_NUMBERS)}
+    texts = {name: [json.loads(text) for text in group[name][()]] for name in _TEXTS}
+    return [
+        Record(
+            frequency=float(arrays["frequency"][i]),
+            forces=arrays["forces"][i],
+            rigid=arrays["rigid"][i],
+            converged=bool(arrays["converged"][i]),
+            reason=texts["reason"][i],
+            iterations=int(arrays["iterations"][i]),
+            fallbacks=tuple(texts["fallbacks"][i]),
+            residual=float(arrays["residual"][i]),
+            seconds=float(arrays["seconds"][i]),
+            unknowns=int(arrays["unknowns"][i]),
+        )
+        for i in range(len(arrays["frequency"]))
+    ]
+
+
+@contextmanager
+def replace_file(path: Path) -> Iterator[h5py.File]:
+    """An HDF5 file to write that takes the place of ``path`` when the block ends well: complete or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with h5py.File(draft, "w") as file:
+            yield file
+        with draft.open("rb") as written:
+            os.fsync(written.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def fingerprint(*stated: object) -> str:
+    """A digest of everything stated: numbers, texts, arrays, dataclasses, and collections of these."""
+    digest = hashlib.sha256()
+    _feed(digest.update, stated)
+    return digest.hexdigest()
+
+
+def _feed(update: Callable[[bytes], None], item: object) -> None:
+    update(type(item).__name__.encode())
+    if isinstance(item, np.ndarray):
+        update(f"{item.dtype}{item.shape}".encode())
+        update(np.ascontiguousarray(item).tobytes())
+    elif is_dataclass(item):
+        for entry in fields(item):
+            update(entry.name.encode())
+            _feed(update, getattr(item, entry.name))
+    elif isinstance(item, Mapping):
+        for key, value in item.items():
+            _feed(update, key)
+            _feed(update, value)
+    elif isinstance(item, list | tuple | range):
+        for value in item:
+            _feed(update, value)
+    else:
+        update(repr(item).encode())

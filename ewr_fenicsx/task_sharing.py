@@ -1,0 +1,85 @@
+"""Independent tasks spread over MPI ranks: each rank takes the next one as soon as it is free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def share_tasks(
+    tasks: Sequence[Task],
+    work: Callable[[Task], Result],
+    comm: MPI.Comm = MPI.COMM_SELF,
+    report: Callable[[int], None] | None = None,
+) -> list[Result]:
+    """Does every task on one rank or other, and hands all results to every rank; collective.
+
+    Which rank does a task is a matter of chance, so that a task's result must not depend on any other's.
+
+    Args:
+        tasks: The same on every rank.
+        work: Does one task; its result must be picklable.
+        comm: The ranks.
+        report: Called on each rank with the number of tasks begun before its own.
+
+    Returns:
+        Results in the order of the tasks, on every rank.
+
+    Raises:
+        Exception: What ``work`` raised first, on every rank.
+    """
+    mine: dict[int, Result] = {}
+    error: Exception | None = None
+    take = _Counter(comm)
+    try:
+        while error is None and (k := take(1)) < len(tasks):
+            if report:
+                report(k)
+            try:
+                mine[k] = work(tasks[k])
+            except Exception as caught:
+                error = caught
+                take(len(tasks))  # nobody need begin another
+    finally:
+        take.free()
+    everyone = comm.allgather((mine, error))
+    failed = [e for _, e in everyone if e is not None]
+    if failed:
+        raise failed[0]
+    done = {k: result for results, _ in everyone for k, result in results.items()}
+    return [done[k] for k in range(len(tasks))]
+
+
+class _Counter:
+    """A counter that all ranks share: ``counter(n)`` adds n and returns what it was before."""
+
+    def __init__(self, comm: MPI.Comm):
+        self._window = None
+        self._value = np.zeros(1, dtype=np.int64)
+        if comm.size > 1:
+            self._window = MPI.Win.Allocate(8 if comm.rank == 0 else 0, 8, comm=comm)
+            if comm.rank == 0:
+                self._window.Lock(0)
+                np.frombuffer(self._window, dtype=np.int64)[0] = 0
+                self._window.Unlock(0)
+            comm.Barrier()
+
+    def __call__(self, amount: int) -> int:
+        before = self._value.copy()
+        if self._window is None:
+            self._value += amount
+        else:
+            self._window.Lock(0)
+            self._window.Fetch_and_op(np.array([amount], dtype=np.int64), before, 0)
+            self._window.Unlock(0)
+        return int(before[0])
+
+    def free(self) -> None:
+        if self._window is not None:
+            self._window.Free()

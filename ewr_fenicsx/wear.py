@@ -1,0 +1,312 @@
+"""``evolve_wear``: fretting wear over many cycles, on two time scales.
+
+Within a cycle the gap is constant; after it, the gap of each pair has grown by Archard's law. Every cycle is solved, or
+the slow time is crossed in jumps: an embedded pair of orders one and two measures the error of a jump and chooses the
+next. Explicit jumps are Euler's and Heun's, and stay below the limit of stability that contact stiffness sets. Damped
+jumps know that stiffness and have no limit: the pair of Verwer, which is Euler's and Heun's where the stiffness is
+zero. A jump of one cycle is the cycle itself, so that jumps tend to the every-cycle run.
+
+Source: Verwer et al. (1999), doi:10.1137/S1064827597326651, for ROS2, of order two with any Jacobian.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, find_wearing_pairs, measure_wear_rate
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
+from ewr_fenicsx.following import solve_from
+from ewr_fenicsx.newton import solve
+from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution_store import fingerprint
+from ewr_fenicsx.wear_store import WearFile, WearState, WearStep
+
+SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
+GROWTH = 4.0  # of one jump over the one before, at most
+GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Error control of cycle jumps: how far the worn depth may be off at the end.
+
+    A jump over a part of all cycles may make the square root of that part of this error, as the first-order member of
+    the pair sees it. The sum of these exceeds the tolerance, but the second-order member, which is the one kept, is off
+    by far less.
+
+    Args:
+        depth: In metres; or None.
+        share: Where ``depth`` is None: as a share of the deepest wear that is to be expected at the end.
+        first: The first jump to try [cycles].
+        damped: Damped jumps, without a limit of stability; else explicit ones below it.
+
+    Raises:
+        ModelError: A tolerance or jump that is not positive.
+    """
+
+    depth: float | None = None
+    share: float = 0.01
+    first: int = 2
+    damped: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.share > 0 and self.first >= 1 and (self.depth is None or self.depth > 0)):
+            raise ModelError(f"{self}; depth and share must be positive, first at least 1 cycle")
+
+
+@dataclass(frozen=True, eq=False)
+class WearHistory:
+    """What a joint wears.
+
+    Attributes:
+        problem: The unworn problem.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+        steps: What was kept: cycle, worn depth, depth worn by the next cycle, solution.
+        solves: Periodic solves that it took.
+        stopped: Why wear was not followed to the last cycle; None where it was.
+    """
+
+    problem: ContactProblem
+    coefficient: RealArray
+    steps: tuple[WearStep, ...]
+    solves: int
+    stopped: str | None
+
+    @cached_property
+    def cycles(self) -> np.ndarray:
+        """``(steps,)`` cycles done."""
+        return np.array([step.cycle for step in self.steps])
+
+    @cached_property
+    def depth(self) -> RealArray:
+        """``(steps, K_c)`` worn depth [m]."""
+        return np.array([step.depth for step in self.steps])
+
+    @property
+    def gap(self) -> RealArray:
+        """``(steps, K_c)`` initial gap plus worn depth [m]."""
+        return self.problem.clearance + self.depth
+
+    @property
+    def rate(self) -> RealArray:
+        """``(steps, K_c)`` depth that the next cycle wears [m]."""
+        return np.array([step.rate for step in self.steps])
+
+    @property
+    def volume(self) -> RealArray:
+        """``(steps, K_c)`` worn volume of each pair, depth by tributary area [m^3]."""
+        return self.depth * self.problem.model.pair_area
+
+    @property
+    def total_volume(self) -> RealArray:
+        """``(steps,)`` worn volume of the joint [m^3]."""
+        return self.volume.sum(axis=1)
+
+    @property
+    def solutions(self) -> tuple[PeriodicSolution, ...]:
+        """The periodic solution at every step."""
+        return tuple(step.solution for step in self.steps)
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(steps, n_h)`` of a named output of the model."""
+        return np.array([s.output(name) for s in self.solutions])
+
+    def figure(self, name: str) -> RealArray:
+        """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``."""
+        return np.array([s.merit[name] for s in self.solutions])
+
+    def table(self) -> dict[str, RealArray]:
+        """Column -> ``(steps,)``: cycles, worn depth and volume, sliding, separation and outputs."""
+        columns = {
+            "cycles": self.cycles,
+            "deepest [m]": self.depth.max(axis=1),
+            "mean depth [m]": self.depth.mean(axis=1),
+            "volume [m^3]": self.total_volume,
+        }
+        figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]
+        return columns | {name: self.figure(name) for name in figures}
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write ``table`` as CSV, a row a step."""
+        columns = self.table()
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
+
+
+def evolve_wear(
+    problem: ContactProblem,
+    cycles: int = 3000,
+    coefficient: float | RealArray = 1e-11,
+    jump: Tolerance | None = None,
+    *,
+    keep_every: int = 1,
+    deepest: float | None = None,
+    file: str | Path | None = None,
+    checkpoint_every: int = 100,
+    tolerance: float = 1e-8,
+    progress: bool = False,
+) -> WearHistory:
+    """Wear of a joint over many vibration cycles.
+
+    Args:
+        problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
+        cycles: How many to follow.
+        coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear.
+        jump: Error control of cycle jumps; None: every cycle is solved.
+        keep_every: Steps are kept at least so many cycles apart; the first and last always are.
+        deepest: Stop where some pair has worn deeper than this [m].
+        file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however
+            often and wherever it was killed, leaves the same file, byte for byte. None: nothing is written.
+        checkpoint_every: Solves between two updates of ``file``, which is also written on an interruption.
+        tolerance: As in ``solve``.
+        progress: Whether to show how many cycles are done and how long the rest will take.
+
+    Raises:
+        ModelError: No pair can wear, or a number makes no sense.
+        NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
+        OutputError: ``file`` holds another run.
+    """
+    model = problem.model
+    rates = np.broadcast_to(np.asarray(coefficient, dtype=float), (model.pairs,)).copy()
+    if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
+        raise ModelError(
+            f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
+        )
+    if cycles < 1 or keep_every < 1 or checkpoint_every < 1:
+        raise ModelError(
+            f"cycles = {cycles}, keep_every = {keep_every}, checkpoint_every = {checkpoint_every}; all >= 1"
+        )
+    rates[~find_wearing_pairs(problem)] = 0.0
+    if not np.any(rates > 0):
+        raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')
+    if model.tangents == 0:
+        raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
+    store = None
+    if file is not None:
+        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance)
+        store = WearFile(Path(file), stated, problem)
+    state = store.read() if store else None
+    run = _Run(problem, cycles, rates, jump, keep_every, deepest, tolerance)
+    state = state or run.begin()
+    saved = state if store else None
+    try:
+        with count_progress("wear", cycles, progress) as report:
+            for state in run.go_on(state):  # noqa: B020
+                report(state.latest.cycle)
+                if store and state.solves - saved.solves >= checkpoint_every:
+                    store.write(state)
+                    saved = state
+    finally:
+        if store and state is not saved:
+            store.write(state)
+    return WearHistory(problem, rates, state.steps, state.solves, state.stopped)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One wear calculation; ``go_on`` yields its state after every step, from which it can go on."""
+
+    problem: ContactProblem
+    cycles: int
+    coefficient: RealArray
+    jump: Tolerance | None
+    keep_every: int
+    deepest: float | None
+    tolerance: float
+
+    def begin(self) -> WearState:
+        depth = np.zeros(self.problem.model.pairs) if self.problem.wear is None else np.array(self.problem.wear)
+        solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
+        first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
+        return WearState(first, None, self.jump.first if self.jump else 1, 1, (first,), None)
+
+    def go_on(self, state: WearState) -> Iterator[WearState]:
+        while state.stopped is None and state.latest.cycle < self.cycles:
+            state = self.advance(state)
+            yield state
+
+    def advance(self, state: WearState) -> WearState:
+        """The state one cycle or jump later, or why there is none."""
+        here = state.latest
+        decay = find_wear_stiffness(here.solution, self.coefficient)
+        limit = find_explicit_limit(decay)
+        if limit < 1:
+            return self._stop(
+                state,
+                f"one cycle wears more than contact can follow (stable up to {limit:.2g} cycles): the two time scales "
+                "are one here; lower the wear coefficient",
+            )
+        solves, error, length = 0, 0.0, 1
+        if self.jump:
+            cap = np.inf if self.jump.damped else SAFETY * limit
+            length = int(max(1, min(state.jump, cap, self.cycles - here.cycle)))
+        while True:
+            try:
+                if length == 1:
+                    ahead, error = self._solve(here, state.earlier, here.depth + here.rate, 1), 0.0
+                    solves += 1
+                    break
+                damping = np.eye(len(decay)) + (GAMMA if self.jump.damped else 0.0) * length * decay
+                first = np.linalg.solve(damping, here.rate)
+                trial = self._solve(here, state.earlier, np.maximum(here.depth + length * first, 0.0), length)
+                solves += 1
+                second = np.linalg.solve(damping, trial.rate - 2 * first)
+                error = 0.5 * length * float(np.abs(first + second).max())
+                if error > (allowed := self._allowed(here, length)):
+                    length = max(1, int(min(0.5, SAFETY * np.sqrt(allowed / error)) * length))
+                    continue
+                # the sum over so many cycles, which is half a cycle's change less than the integral
+                worn = here.depth + length * (1.5 * first + 0.5 * second) - 0.5 * (trial.rate - here.rate)
+                ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0)
+                ahead = replace(ahead, cycle=here.cycle + length)
+                solves += 1
+                break
+            except (NotConverged, UnheldBody) as failure:
+                solves += 1
+                if length == 1:
+                    state = replace(state, solves=state.solves + solves)
+                    return self._stop(state, f"the joint no longer carries its load: {failure}")
+                length = max(1, length // 4)
+        following = 1
+        if self.jump:
+            free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(self._allowed(here, length) / error))
+            following = max(1, int(free * length), length + 1 if free > 1 else 1)
+        done = replace(state, latest=ahead, earlier=here, jump=following, solves=state.solves + solves)
+        if self.deepest is not None and ahead.depth.max() > self.deepest:
+            pair = int(ahead.depth.argmax())
+            return self._stop(
+                done, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m"
+            )
+        if ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles:
+            done = replace(done, steps=(*state.steps, ahead))
+        return done
+
+    def _stop(self, state: WearState, why: str) -> WearState:
+        steps = state.steps if state.steps[-1].cycle == state.latest.cycle else (*state.steps, state.latest)
+        return replace(state, steps=steps, stopped=f"after {state.latest.cycle} cycles: {why}")
+
+    def _allowed(self, here: WearStep, length: int) -> float:
+        part = np.sqrt(length / self.cycles)
+        if self.jump.depth is not None:
+            return part * self.jump.depth
+        return part * self.jump.share * float((here.depth + (self.cycles - here.cycle) * here.rate).max())
+
+    def _solve(self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int) -> WearStep:
+        problem = replace(self.problem, wear=depth)
+        ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
+        before = earlier.solution if earlier else None
+        solution = solve_from(problem, latest.solution, before, ratio, self.tolerance)
+        if not solution.converged:
+            solution = solve(problem, start=latest.solution, tolerance=self.tolerance)
+        return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)

@@ -1,0 +1,28 @@
+"""Run by ``test_sweep_parallel.py``: a family of curves on all ranks; each rank writes what it got."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from small_models import dovetail, stop_oscillator
+
+from ewr_fenicsx import ContactLaws, frequency_response
+
+out = Path(sys.argv[1])
+family = {mu: ContactLaws(friction=mu) for mu in (0.1, 0.3)}
+curves = frequency_response(dovetail(excitation=200.0), family, np.linspace(500.0, 800.0, 13), folder=out / "family")
+laws = ContactLaws(tangential="frictionless", initial_gap=1.0)
+folded = frequency_response(stop_oscillator(), laws, np.linspace(0.12, 0.22, 21), harmonics=7, progress=False)
+np.savez(
+    out / f"rank{MPI.COMM_WORLD.rank}.npz",
+    low=curves[0.1].output("tip"),
+    high=curves[0.3].output("tip"),
+    folded=folded.output("tip"),
+    frequencies=folded.frequencies,
+)

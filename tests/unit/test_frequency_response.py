@@ -1,0 +1,143 @@
+"""``frequency_response``: what it returns, writes and takes up again; and that blocks make one curve."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from small_models import dovetail, lift_off_oscillator, stop_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, frequency_sweep, solve
+from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.following import agree
+from ewr_fenicsx.solution_store import fingerprint, restore, strip
+
+LAWS = ContactLaws(friction=0.3)
+FREQUENCIES = np.linspace(0.08, 0.4, 9)
+
+
+def sweep(frequencies=FREQUENCIES, laws=LAWS, **settings):
+    model = lift_off_oscillator(excitation=0.6, damping=0.1)
+    return frequency_response(model, laws, frequencies, harmonics=5, progress=False, **settings)
+
+
+def test_every_point_is_what_a_cold_solve_finds():
+    curve = sweep()
+    np.testing.assert_array_equal(curve.frequencies, FREQUENCIES)
+    for solution in curve.solutions:
+        cold = solve(ContactProblem(solution.problem.model, LAWS, solution.problem.frequency, harmonics=5))
+        np.testing.assert_allclose(
+            solution.output("tip"), cold.output("tip"), atol=1e-7 * abs(cold.output("tip")).max()
+        )
+    assert curve.output("tip").shape == (9, 6)
+
+
+def test_blocks_of_another_size_give_the_same_curve(monkeypatch):
+    one = sweep().output("tip")
+    monkeypatch.setattr(frequency_sweep, "BLOCK", 2)
+    np.testing.assert_allclose(sweep().output("tip"), one, atol=1e-7 * np.abs(one).max())
+
+
+def test_blocks_meet_where_a_fold_lies_between_them(monkeypatch):
+    """Cold starts find either branch where there are three; joined, the blocks are the curve of one sweep."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    frequencies = np.linspace(0.16, 0.18, 11)
+    shapes = []
+    for size in (2, 3, 20):
+        monkeypatch.setattr(frequency_sweep, "BLOCK", size)
+        curve = frequency_response(model, laws, frequencies, harmonics=7, progress=False)
+        assert curve.jumps == ()
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+        shapes.append((len(turns), curve.frequencies[turns], np.abs(curve.output("tip")[[0, -1], 1])))
+    for turns, folds, ends in shapes:
+        assert turns == 2
+        np.testing.assert_allclose(folds, shapes[0][1], rtol=1e-3)
+        np.testing.assert_allclose(ends, shapes[0][2], rtol=1e-7)
+
+
+def test_adaptive_frequencies_resolve_the_resonance():
+    coarse, fine = sweep(refine=0.3), sweep(refine=0.1)
+    assert len(FREQUENCIES) < len(coarse.solutions) < len(fine.solutions)
+    assert set(FREQUENCIES) <= set(fine.frequencies)
+    steps = np.diff(fine.frequencies)
+    peak = fine.frequencies[np.abs(fine.output("tip")[:, 1]).argmax()]
+    near = np.abs(fine.frequencies[1:] - peak) < 0.03
+    assert steps[near].max() < 0.5 * steps.max(), "points are where the curve bends"
+
+
+def test_several_values_of_a_parameter_give_a_curve_each():
+    family = {mu: replace(LAWS, friction=mu) for mu in (0.1, 0.3)}
+    curves = sweep(laws=family)
+    assert list(curves) == [0.1, 0.3]
+    np.testing.assert_allclose(curves[0.3].output("tip"), sweep().output("tip"), rtol=1e-12)
+    assert not np.allclose(curves[0.1].output("tip"), curves[0.3].output("tip"), rtol=1e-3)
+
+
+def test_a_linear_joint_is_swept_without_newton():
+    curve = sweep(laws=ContactLaws("bonded", "bonded"))
+    assert [s.unknowns for s in curve.solutions] == [0] * 9
+
+
+def test_table_and_files_hold_the_curve(tmp_path):
+    curve = sweep(folder=tmp_path)
+    with (tmp_path / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    np.testing.assert_array_equal([float(row["frequency [Hz]"]) for row in rows], FREQUENCIES)
+    amplitudes = [float(row["|tip| harmonic 1"]) for row in rows]
+    np.testing.assert_array_equal(amplitudes, np.abs(curve.output("tip")[:, 1]))
+    np.testing.assert_array_equal([float(row["J_T"]) for row in rows], curve.figure("J_T"))
+    with h5py.File(tmp_path / "frequency_response.h5") as file:
+        np.testing.assert_array_equal(file["curve_0/forces"][()], [s.forces for s in curve.solutions])
+        np.testing.assert_array_equal(file["curve_0/table/J_T"][()], curve.figure("J_T"))
+    with pytest.raises(ModelError, match='no figure "J_X"'):
+        curve.figure("J_X")
+
+
+def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
+    whole, solve_block, begun = sweep(), frequency_sweep._solve_block, []
+
+    def interrupted(follower, block, store):
+        if len(begun) == 1:
+            raise KeyboardInterrupt
+        begun.append(block.number)
+        return solve_block(follower, block, store)
+
+    monkeypatch.setattr(frequency_sweep, "_solve_block", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(folder=tmp_path)
+    assert len(list((tmp_path / "blocks").iterdir())) == 1
+    assert not (tmp_path / "frequency_response.h5").exists()
+    solved = []
+    monkeypatch.setattr(
+        frequency_sweep, "_solve_block", lambda f, b, s: solved.append(b.number) or solve_block(f, b, s)
+    )
+    curve = sweep(folder=tmp_path)
+    assert solved == [1], "the first block was on disk"
+    np.testing.assert_array_equal(curve.output("tip"), whole.output("tip"))
+    with pytest.raises(OutputError, match="another model, laws or settings"):
+        sweep(folder=tmp_path, laws=replace(LAWS, friction=0.31))
+
+
+def test_records_bring_solutions_back():
+    solution = sweep().solutions[3]
+    back = restore(solution.problem, strip(solution))
+    assert agree(back, solution)
+    np.testing.assert_array_equal(back.forces, solution.forces)
+    assert (back.reason, back.fallbacks, back.unknowns) == (solution.reason, solution.fallbacks, solution.unknowns)
+
+
+def test_fingerprints_tell_problems_apart():
+    problem = ContactProblem(dovetail(), LAWS, 600.0)
+    assert fingerprint(problem) == fingerprint(ContactProblem(dovetail(), replace(LAWS), 600.0))
+    others = [replace(problem, frequency=600.1), replace(problem, wear=np.zeros(6)), replace(problem, harmonics=6)]
+    others.append(replace(problem, laws=replace(LAWS, friction=np.full(6, 0.3))))
+    assert len({fingerprint(p) for p in [problem, *others]}) == 5
+
+
+@pytest.mark.parametrize("bad", [[], [2.0, 1.0], [1.0, 1.0], [0.0, 1.0]])
+def test_frequencies_must_rise(bad):
+    with pytest.raises(ModelError, match="frequencies"):
+        sweep(frequencies=bad)

@@ -1,0 +1,89 @@
+"""A resonance curve that folds: a mass that meets a springy stop, against integration in time of the plain equation.
+
+``x'' + c x' + x + k max(0, x - g) = F cos(2 pi f t)`` in one unknown, by a Runge-Kutta method from two sets of initial
+conditions: no harmonic balance, no contact law, none of the package's time stepping.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_models import stop_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
+from ewr_fenicsx.balance import HarmonicBalance
+
+GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
+LAWS = ContactLaws(tangential="frictionless", initial_gap=GAP)
+BISTABLE = 0.1685  # Hz
+
+
+@pytest.fixture(scope="module")
+def curve():
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    frequencies = np.append(np.linspace(0.12, 0.22, 21), BISTABLE)
+    return frequency_response(model, LAWS, np.sort(frequencies), harmonics=9, progress=False)
+
+
+def integrate_in_time(frequency: float, start: tuple[float, float], periods: int = 150) -> np.ndarray:
+    """One period of the steady state, 256 samples."""
+    omega = 2 * np.pi * frequency
+
+    def rate(t, state):
+        x, v = state
+        return v, FORCE * np.cos(omega * t) - DAMPING * v - x - STOP * max(0.0, x - GAP)
+
+    times = (periods + np.arange(256) / 256) / frequency
+    return solve_ivp(rate, (0, times[-1]), start, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.05 / frequency).y[0]
+
+
+def test_the_curve_turns_back_and_forth_once(curve):
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies))))
+    assert len(turns) == 2
+    assert curve.jumps == ()
+    assert curve.missing == ()
+    assert all(s.converged for s in curve.solutions)
+    amplitude = np.abs(curve.output("tip")[:, 1])
+    inside = slice(turns[0] + 1, turns[1] + 2)
+    assert np.all(np.diff(curve.frequencies[inside]) < 0)
+    assert np.all(np.diff(amplitude[turns[0] + 1 : turns[1]]) < 0), "down the middle branch to the lower one"
+
+
+def test_every_point_of_the_curve_solves_its_problem(curve):
+    for s in curve.solutions:
+        balance = HarmonicBalance(s.problem.system)
+        assert np.linalg.norm(balance.residual(balance.pack(s.forces, s.rigid))) < 1e-7
+
+
+def test_the_lower_fold_is_where_the_stop_is_grazed(curve):
+    """Below the gap the mass is linear; it grazes the stop where ``F / |1 - w^2 + i c w| = g``."""
+    turn = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies))))[1] + 1
+    w2 = np.roots([1.0, DAMPING**2 - 2.0, 1.0 - (FORCE / GAP) ** 2]).max()
+    assert curve.frequencies[turn] == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=1e-4)
+
+
+@pytest.mark.parametrize("start, branch", [((2.0, 0.0), "upper"), ((0.0, 0.0), "lower")])
+def test_both_stable_branches_are_those_of_time_integration(curve, start, branch):
+    """At a frequency with three solutions."""
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    pieces = {"upper": slice(0, turns[0] + 1), "lower": slice(turns[1], None)}
+    numbers = np.arange(len(curve.solutions))[pieces[branch]]
+    on_branch = [curve.solutions[n] for n in numbers]
+    frequencies = np.array([s.problem.frequency for s in on_branch])
+    nearest = on_branch[int(np.argmin(np.abs(frequencies - BISTABLE)))]
+    found = solve(ContactProblem(nearest.problem.model, LAWS, BISTABLE, harmonics=21), start=nearest)
+    assert found.fallbacks == ()
+    phase = 2 * np.pi * np.outer(np.arange(256) / 256, found.orders)
+    motion = (np.exp(1j * phase) @ found.output("tip")).real
+    steady = integrate_in_time(BISTABLE, start)
+    np.testing.assert_allclose(motion, steady, atol=2e-3 * np.abs(steady).max())
+    assert (np.abs(steady).max() > GAP) == (branch == "upper")
+
+
+def test_a_sweep_that_starts_on_the_lower_branch_stays_on_it():
+    """From above the folds nothing leads to the upper branch but the fold itself: no point is invented."""
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    curve = frequency_response(model, LAWS, np.linspace(0.172, 0.22, 7), harmonics=9, progress=False)
+    exact = FORCE / np.abs(1 - (2 * np.pi * curve.frequencies) ** 2 + 2j * np.pi * curve.frequencies * DAMPING)
+    np.testing.assert_allclose(np.abs(curve.output("tip")[:, 1]), exact, rtol=1e-9)

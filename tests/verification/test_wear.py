@@ -1,0 +1,196 @@
+"""Wear against closed forms: a rigid punch on a Winkler foundation, whose pressure is known while it wears.
+
+Under a swing of amplitude X a pair slides ``4 X`` a cycle. With pressure ``p_k = k (d - w_k)`` and the mean pressure
+given by the load, Archard's law makes differences of pressure decay by the factor ``1 - 4 k_w k X`` a cycle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_models import dovetail, winkler_punch
+
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
+from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
+from ewr_fenicsx.errors import ModelError
+
+LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
+MEAN_PRESSURE = LOAD / (PAIRS * AREA)
+COEFFICIENT = 1e-11
+DECAY = 4 * COEFFICIENT * STIFFNESS * SWING  # 2e-4 a cycle
+CROWN = 1e-7 * np.array([4.0, 1.0, 0.0, 1.0, 4.0])  # initial gap of a rounded punch [m]
+SHARP = 1e-5  # of |v| over a cycle by 1024 samples, relative
+
+
+def punch(gap=0.0) -> ContactProblem:
+    model = winkler_punch(load=LOAD, swing=SWING, stiffness=STIFFNESS, pairs=PAIRS, area=AREA)
+    return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 100.0, harmonics=1)
+
+
+def pressures(history) -> np.ndarray:
+    """``(steps, K)`` mean pressure of every pair."""
+    forces = np.array([s.history("normal_force", 64).mean(axis=0) for s in history.solutions])
+    return forces / history.problem.model.pair_area
+
+
+def test_uniform_pressure_wears_evenly():
+    history = evolve_wear(punch(), 50, COEFFICIENT)
+    exact = 4 * COEFFICIENT * MEAN_PRESSURE * SWING * history.cycles
+    np.testing.assert_allclose(history.depth, np.repeat(exact[:, None], PAIRS, axis=1), rtol=SHARP)
+    np.testing.assert_allclose(history.total_volume, exact * AREA * PAIRS, rtol=SHARP)
+    np.testing.assert_array_equal(history.cycles, np.arange(51))
+
+
+def test_wear_follows_pressure_and_not_nodal_force():
+    """Half the area a pair at twice the pairs: forces halve, depths stay."""
+    fine = winkler_punch(load=LOAD, swing=SWING, stiffness=STIFFNESS, pairs=2 * PAIRS, area=AREA / 2)
+    laws = ContactLaws(tangential="frictionless")
+    depth = evolve_wear(ContactProblem(fine, laws, 100.0, harmonics=1), 20, COEFFICIENT).depth[-1]
+    np.testing.assert_allclose(depth, evolve_wear(punch(), 20, COEFFICIENT).depth[-1, 0], rtol=1e-10)
+
+
+def test_a_crown_wears_flat_at_the_rate_of_winkler():
+    history = evolve_wear(punch(CROWN), 400, COEFFICIENT, keep_every=100)
+    p = pressures(history)
+    np.testing.assert_allclose(p[0] - MEAN_PRESSURE, STIFFNESS * (CROWN.mean() - CROWN), rtol=1e-9)
+    left = (1 - DECAY) ** history.cycles[:, None] * (p[0] - MEAN_PRESSURE)
+    np.testing.assert_allclose(p - MEAN_PRESSURE, left, atol=SHARP * np.abs(left).max())
+    np.testing.assert_allclose(history.gap - history.depth, np.broadcast_to(CROWN, history.gap.shape), atol=1e-20)
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_jumps_decay_exponentially(damped):
+    jump = Tolerance(share=1e-5, damped=damped)
+    history = evolve_wear(punch(CROWN), 20_000, COEFFICIENT, jump)
+    p = pressures(history)
+    left = np.exp(-DECAY * history.cycles[:, None]) * (p[0] - MEAN_PRESSURE)
+    assert history.solves < 600, "far fewer than cycles"
+    np.testing.assert_allclose(p - MEAN_PRESSURE, left, atol=5e-4 * np.abs(left).max())
+
+
+def test_explicit_limit_is_that_of_winkler():
+    solution = solve(punch(CROWN))
+    coefficient = np.full(PAIRS, COEFFICIENT)
+    decay = find_wear_stiffness(solution, coefficient)
+    assert find_explicit_limit(decay) == pytest.approx(2 / DECAY, rel=SHARP)
+    assert find_explicit_limit(0 * decay) == np.inf
+
+
+@pytest.mark.parametrize("share, grows", [(0.9, False), (1.1, True)])
+def test_either_side_of_the_explicit_limit(share, grows):
+    """Euler jumps of one length: worn surfaces settle below the limit and oscillate ever more above it."""
+    problem, length = punch(CROWN), share * 2 / DECAY
+    coefficient, depth, sizes, signs = np.full(PAIRS, COEFFICIENT), np.zeros(PAIRS), [], []
+    for _ in range(6):
+        solution = solve(ContactProblem(problem.model, problem.laws, 100.0, harmonics=1, wear=depth))
+        rate = measure_wear_rate(solution, coefficient)
+        sizes.append(np.abs(rate - rate.mean()).max())
+        signs.append(np.sign(rate[0] - rate[2]))
+        depth = depth + length * rate
+    factor = abs(1 - 2 * share)
+    assert (factor > 1) == grows
+    np.testing.assert_allclose(np.array(sizes[1:]) / sizes[:-1], factor, rtol=1e-3)
+    np.testing.assert_array_equal(np.diff(signs) != 0, True)
+
+
+def test_explicit_jumps_stay_below_the_limit_however_loose_the_tolerance():
+    """Asked for jumps twice as long as is stable, the loop shortens them, and the crown wears flat."""
+    limit = 2 / DECAY
+    loose = Tolerance(depth=1.0, first=int(2 * limit), damped=False)
+    history = evolve_wear(punch(CROWN), int(40 * limit), COEFFICIENT, loose)
+    assert np.diff(history.cycles).max() <= 0.9 * limit * (1 + SHARP)
+    spread = np.ptp(pressures(history), axis=1)
+    assert spread[-1] < 1e-3 * spread[0]
+    assert np.all(spread[1:] <= spread[:-1] * (1 + 1e-9))
+
+
+def test_damped_jumps_are_stable_far_beyond_the_limit():
+    limit = 2 / DECAY
+    loose = Tolerance(depth=1.0, first=int(5 * limit), damped=True)
+    history = evolve_wear(punch(CROWN), int(40 * limit), COEFFICIENT, loose)
+    assert np.diff(history.cycles).max() > 5 * limit - 1
+    spread = np.ptp(pressures(history), axis=1)
+    assert spread[-1] < 0.3 * spread[0]
+    assert np.all(spread[1:] <= spread[:-1] * (1 + 1e-9))
+
+
+def test_a_cycle_that_wears_more_than_contact_can_follow_ends_the_run():
+    history = evolve_wear(punch(CROWN), 10, 1.01 * 2 / (4 * STIFFNESS * SWING))
+    assert history.cycles[-1] == 0
+    assert "lower the wear coefficient" in history.stopped
+
+
+@pytest.mark.parametrize("share", [1e-1, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("damped", [True, False])
+def test_jumped_and_every_cycle_runs_agree_within_the_tolerance(share, damped):
+    """Friction, lift-off and six pairs: over three decades of tolerance."""
+    cycles, problem = 300, dovetail_problem()
+    every = dovetail_history(cycles)
+    jumped = evolve_wear(problem, cycles, WEAR_OF_DOVETAIL, Tolerance(share=share, damped=damped))
+    error = np.abs(jumped.depth[-1] - every.depth[-1]).max() / every.depth[-1].max()
+    assert error < share
+    assert jumped.cycles[-1] == cycles
+    if share >= 1e-3:
+        assert jumped.solves < every.solves / 3
+
+
+WEAR_OF_DOVETAIL = 1e-10
+_history: dict[int, object] = {}
+
+
+def dovetail_problem() -> ContactProblem:
+    return ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 600.0, harmonics=5)
+
+
+def dovetail_history(cycles: int):
+    if cycles not in _history:
+        _history[cycles] = evolve_wear(dovetail_problem(), cycles, WEAR_OF_DOVETAIL)
+    return _history[cycles]
+
+
+def test_worn_volume_is_the_integral_of_the_wear_law():
+    """Per cycle ``k_w`` times the closed integral of ``lam_N |v|``, here by a quadrature of its own."""
+    history = dovetail_history(300)
+    total = 0.0
+    for solution in history.solutions[:-1]:
+        force = np.maximum(0.0, solution.history("normal_force", 4096))
+        speed = np.abs(solution.history("slip_velocity", 4096))
+        total += WEAR_OF_DOVETAIL * float(np.mean(force * speed, axis=0).sum()) / 600.0
+    assert history.total_volume[-1] == pytest.approx(total, rel=1e-4)
+    np.testing.assert_allclose(history.volume.sum(axis=1), history.total_volume, rtol=1e-14)
+
+
+def test_only_some_pairs_wear():
+    """A coefficient for each pair; pairs without a gap in their law wear not at all."""
+    coefficient = np.where(np.arange(6) < 2, WEAR_OF_DOVETAIL, 0.0)
+    history = evolve_wear(dovetail_problem(), 5, coefficient)
+    np.testing.assert_array_equal(history.depth[-1] > 0, coefficient > 0)
+    groups = [(range(3), ContactLaws(friction=0.2)), (range(3, 6), ContactLaws("bonded", "bonded"))]
+    mixed = evolve_wear(ContactProblem(dovetail(excitation=200.0), groups, 600.0), 5, WEAR_OF_DOVETAIL)
+    np.testing.assert_array_equal(mixed.depth[-1, 3:], 0.0)
+    assert np.all(mixed.depth[-1, :3] > 0)
+
+
+def test_no_wear_without_a_coefficient_leaves_the_solution_alone():
+    with pytest.raises(ModelError, match="no pair can wear"):
+        evolve_wear(dovetail_problem(), 5, 0.0)
+    bonded = ContactProblem(dovetail(), ContactLaws("bonded", "bonded"), 600.0)
+    with pytest.raises(ModelError, match='normal = "unilateral"'):
+        evolve_wear(bonded, 5)
+    with pytest.raises(ModelError, match="one for each of 6 pairs"):
+        evolve_wear(dovetail_problem(), 5, -1.0)
+
+
+def test_wear_stops_at_a_given_depth():
+    history = evolve_wear(punch(CROWN), 500, COEFFICIENT, deepest=1e-7)
+    assert history.depth[-1].max() > 1e-7 > history.depth[-2].max()
+    assert "more than 1e-07 m" in history.stopped
+    assert history.stopped.startswith(f"after {history.cycles[-1]} cycles")
+
+
+def test_wear_goes_on_from_a_worn_joint():
+    whole = evolve_wear(punch(CROWN), 20, COEFFICIENT)
+    first = evolve_wear(punch(CROWN), 12, COEFFICIENT)
+    problem = punch(CROWN)
+    worn = ContactProblem(problem.model, problem.laws, 100.0, harmonics=1, wear=first.depth[-1])
+    np.testing.assert_allclose(evolve_wear(worn, 8, COEFFICIENT).depth[-1], whole.depth[-1], rtol=1e-9)
