@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -168,17 +167,25 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
 def go_on_from(
     start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Newton from the solution of another problem on the same model: a guiding step from its state, then as usual.
-
-    The laws are first linearised at the other solution's forces *and* motions, so that what each pair did there (open,
-    stuck or slipping at every sample) carries over, and that step makes forces and motions fit the new compliance. The
-    forces by themselves would move the pairs anywhere near a resonance.
-    """
+    """Newton from the solution of another problem on the same model: a guiding step from its state, then as usual."""
     forces, motion, rigid = carry_over(start, balance)
     unknowns, guided = balance.pack(forces, rigid), 0
     if np.linalg.norm(balance.residual(unknowns)) > tolerance:
-        step = balance.linearise(unknowns, motion)
-        with suppress(np.linalg.LinAlgError):  # else from the forces as they are
-            unknowns, guided = unknowns - step.solve(step.residual), 1
+        unknowns, guided = guide(balance, forces, motion, rigid), 1
     attempt = run_newton(balance, unknowns, tolerance, linear_solver)
     return replace(attempt, iterations=attempt.iterations + guided)
+
+
+def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
+    """Unknowns one Newton step from a neighbour's forces and motions, ``(n_h, m)``, and rigid coordinates.
+
+    The laws are linearised at these forces *and* motions, so that what each pair did there (open, stuck or slipping at
+    every sample) carries over, and the step makes the two fit the new compliance. The forces by themselves would move
+    the pairs anywhere near a resonance.
+    """
+    unknowns = balance.pack(forces, rigid)
+    step = balance.linearise(unknowns, motion)
+    try:
+        return unknowns - step.solve(step.residual)
+    except np.linalg.LinAlgError:
+        return unknowns
