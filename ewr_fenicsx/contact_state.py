@@ -17,6 +17,25 @@ def list_histories(solution: PeriodicSolution) -> tuple[str, ...]:
     return tuple(name for name in solution.histories if name in called)
 
 
+def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
+    """Names of the figures of merit that the laws of a solution call for; the others are zero by construction."""
+    histories = list_histories(solution)
+    calls = {
+        "penetration": "gap",
+        "tension": "gap",
+        "J_N": "gap",
+        "J_T": "slip",
+        "cone_violation": "admissible_friction_force",
+        "friction_dissipation": "admissible_friction_force",
+    }
+    return tuple(name for name in solution.merit if calls.get(name, "normal_force") in histories)
+
+
+def changes_state(solution: PeriodicSolution) -> bool:
+    """Whether some pair may open or slip."""
+    return bool({"gap", "slip"} & set(list_histories(solution)))
+
+
 def sample_friction_limit(solution: PeriodicSolution, samples: int) -> RealArray:
     """``mu max(0, lam_N)`` over one period, ``(samples, K_c)`` [N]; zero for pairs without Coulomb friction."""
     return solution.problem.friction * np.maximum(0.0, solution.history("normal_force", samples))

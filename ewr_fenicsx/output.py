@@ -22,7 +22,7 @@ import numpy as np
 
 from ewr_fenicsx import _compat, plots
 from ewr_fenicsx.chain import Chain
-from ewr_fenicsx.contact_state import classify_contact, list_histories
+from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
@@ -154,7 +154,9 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
             fields[name] = solution.history(name, samples)
     if solution.problem.wear is not None:
         fields["worn_depth"] = np.tile(solution.problem.wear, (samples, 1))
-    return fields | {"contact_state": classify_contact(solution, samples).astype(float)}
+    if changes_state(solution):
+        fields["contact_state"] = classify_contact(solution, samples).astype(float)
+    return fields
 
 
 def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
@@ -179,7 +181,7 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[Rea
 def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
     """Writes one row a pair: where it is, and its figures over the period."""
     histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
-    state = classify_contact(solution, SAMPLES)
+    state = classify_contact(solution, SAMPLES) if changes_state(solution) else None
     columns: dict[str, RealArray] = {
         "x [m]": interface.position[:, 0],
         "y [m]": interface.position[:, 1],
@@ -200,7 +202,7 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
     for name in histories:
         if name not in HISTORIES:  # a law of the user's own, in its own unit
             columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
-    for code, name in enumerate(("open", "stick", "slip")):
+    for code, name in enumerate(("open", "stick", "slip") if changes_state(solution) else ()):
         columns[f"{name}_share"] = (state == code).mean(axis=0)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -225,7 +227,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "frequency_Hz": solution.problem.frequency,
             "harmonics": list(solution.orders),
             "outputs": {name: _list_amplitudes(solution, name) for name in model.outputs},
-            "merit": {name: float(value) for name, value in solution.merit.items()},
+            "merit": {name: float(solution.merit[name]) for name in list_figures(solution)},
         },
         "model": {
             "nodes": index_map.size_global,

@@ -71,7 +71,7 @@ def tip_amplitude(summary: dict, harmonic: int = 1) -> complex:
     ("laws", "missing", "linear"),
     [
         ("", set(), False),
-        ("normal = 'bonded'\ntangential = 'bonded'", {"gap", "slip"}, True),
+        ("normal = 'bonded'\ntangential = 'bonded'", {"gap", "slip", "contact_state"}, True),
         ("normal = 'unilateral'\ntangential = 'bonded'", {"slip"}, False),
         ("normal = 'bonded'\ntangential = 'coulomb'", {"gap"}, False),
         ("initial_gap = 1e-7", set(), False),
@@ -81,6 +81,9 @@ def test_laws_decide_which_fields_there_are(run, laws, missing, linear):
     summary, fields = run("[contact]\n" + laws)
     assert fields == ALL_FIELDS - missing
     assert (summary["solution"]["unknowns"] == 0) == linear
+    figures = set(summary["solution"]["merit"])
+    assert ("penetration" in figures) == ("gap" not in missing) == ("J_N" in figures)
+    assert ("friction_dissipation" in figures) == ("slip" not in missing) == ("J_T" in figures)
     assert abs(tip_amplitude(summary)) > 0
 
 
@@ -90,7 +93,7 @@ def test_quadratic_elements_are_softer_by_little(run):
     assert quadratic["model"]["nodes"] > 3 * linear["model"]["nodes"]
     assert quadratic["model"]["pairs"] == 2 * linear["model"]["pairs"] - 1
     assert 1 < abs(tip_amplitude(quadratic) / tip_amplitude(linear)) < 1.2
-    assert fields == ALL_FIELDS - {"gap", "slip"}
+    assert fields == ALL_FIELDS - {"gap", "slip", "contact_state"}
 
 
 def test_mesh_file_gives_the_result_of_its_builder(run, tmp_path):
