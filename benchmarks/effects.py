@@ -132,6 +132,19 @@ CASES = [
 ]  # fmt: skip
 
 
+WEAR_CYCLES, WEAR = 5, 1e-9
+
+
+def pose_wear() -> tuple[ContactProblem, np.ndarray]:
+    """Friction, separation and wear on the right flank; the left one bonded, without wear."""
+    return pose([(LEFT, BONDED), (RIGHT, RUBBING)], press=LEFT), WEAR * (np.arange(PAIRS) >= len(LEFT))
+
+
+def pose_full_wear() -> tuple[ContactProblem, np.ndarray]:
+    """The same with a left flank that could open and wear, but is pressed and cannot slip."""
+    return pose([(LEFT, BONDED_HEAVY), (RIGHT, RUBBING)], press=LEFT), np.full(PAIRS, WEAR)
+
+
 @contextmanager
 def count_calls() -> Iterator[Counter]:
     """Counts SNES objects, law evaluations and climbs of the ladder while it is open."""
@@ -186,6 +199,18 @@ def measure(pose_problem: Callable[[], ContactProblem], repeats: int) -> tuple[P
     return solution, median(times[1:])
 
 
+def measure_wear(posed: tuple[ContactProblem, np.ndarray], repeats: int):
+    """A short wear history, and the median time of several [s]."""
+    from ewr_fenicsx import evolve_wear
+
+    times = []
+    for _ in range(repeats + 1):
+        begin = time.perf_counter()
+        history = evolve_wear(posed[0], WEAR_CYCLES, posed[1], tolerance=1e-11)
+        times.append(time.perf_counter() - begin)
+    return history, median(times[1:])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5, help="runs of each solve, of which the median counts [5]")
@@ -206,6 +231,21 @@ def main() -> None:
         records.append(record)
         shown = ("scene", "unknowns", "steps", "inert", "full_unknowns", "full_steps", "difference")
         rows.append([*(record[key] for key in shown), 1e3 * seconds, record["ratio"]])
+    (worn, seconds), (full, full_seconds) = (measure_wear(p(), arguments.repeats) for p in (pose_wear, pose_full_wear))
+    record = {
+        "scene": f"left bonded, right both and wear, {WEAR_CYCLES} cycles",
+        "unknowns": worn.solutions[-1].unknowns,
+        "steps": sum(solution.iterations for solution in worn.solutions),
+        "inert": "a huge preload and wear on the left",
+        "full_unknowns": full.solutions[-1].unknowns,
+        "full_steps": sum(solution.iterations for solution in full.solutions),
+        "difference": float(np.abs(worn.depth - full.depth).max() / full.depth.max()),
+        "seconds": seconds,
+        "full_seconds": full_seconds,
+        "ratio": seconds / full_seconds,
+    }
+    records.append(record)
+    rows.append([*(record[key] for key in shown), 1e3 * seconds, record["ratio"]])
     header = ["scene", "unknowns", "steps", "fullest formulation: inert", "unknowns", "steps"]
     header += ["difference", "ms", "time / fullest"]
     print_table("Scenes that say what they mean, against the same physics with inert effects", header, rows)

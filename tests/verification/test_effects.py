@@ -14,13 +14,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import ContactProblem, compliance, solve
+from ewr_fenicsx import ContactProblem, compliance, evolve_wear, solve
 from ewr_fenicsx.contact_state import OPEN, SLIP, classify_contact
+from ewr_fenicsx.errors import ModelError
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
-from effects import BONDED, CASES, STAGES, compare, count_calls, pose  # noqa: E402
+from effects import (  # noqa: E402
+    ALL,
+    BONDED,
+    CASES,
+    LEFT,
+    RIGHT,
+    STAGES,
+    WEAR_CYCLES,
+    compare,
+    count_calls,
+    pose,
+    pose_full_wear,
+    pose_wear,
+)
 
 every_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 
@@ -58,6 +72,30 @@ def test_two_formulations_that_differ_are_told_apart():
     other = case.full()
     other = replace(other, laws=replace(other.laws, friction=0.01))
     assert compare(solve(case.problem()), solve(other)) > 1e-4
+
+
+def test_wear_where_it_is_called_for_equals_wear_everywhere_made_inert():
+    """Friction, separation and wear on the right flank, the left bonded; against one that could open, slip and wear."""
+    problem, coefficient = pose_wear()
+    full_problem, everywhere = pose_full_wear()
+    worn = evolve_wear(problem, WEAR_CYCLES, coefficient, tolerance=1e-11)
+    full = evolve_wear(full_problem, WEAR_CYCLES, everywhere, tolerance=1e-11)
+    assert worn.solutions[-1].unknowns == 2 * len(RIGHT) * ALL
+    assert full.solutions[-1].unknowns == (len(LEFT) + 2 * len(RIGHT)) * ALL
+    assert worn.depth[-1][RIGHT].min() > 0 and not np.any(worn.depth[:, LEFT])
+    assert np.abs(worn.depth - full.depth).max() < 1e-8 * full.depth.max()
+    assert compare(worn.solutions[-1], full.solutions[-1]) < 1e-8
+
+
+def test_a_wear_coefficient_of_zero_is_no_wear():
+    """On some pairs: they do not wear. On all: that is said. A worn depth of zero is the unworn problem, to the bit."""
+    problem, _ = pose_wear()
+    only = evolve_wear(problem, 3, 1e-9 * (np.arange(7) == 5))
+    assert only.depth[-1][5] > 0 and not np.any(np.delete(only.depth, 5, axis=1))
+    with pytest.raises(ModelError, match="no pair can wear"):
+        evolve_wear(problem, 3, 0.0)
+    unworn = solve(replace(problem, wear=np.zeros(7)))
+    np.testing.assert_array_equal(unworn.forces, solve(problem).forces)
 
 
 def test_a_linear_scene_is_one_solve_a_harmonic(monkeypatch):
