@@ -17,6 +17,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
 from ewr_fenicsx.errors import SceneError, nearest
 from ewr_fenicsx.interface import Interface, pair_interface
+from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
@@ -144,10 +145,10 @@ def lay_laws(scene: Scene, interface: Interface | None = None) -> Laws:
         return _laws(scene.contact)
     if interface is None:
         raise SceneError(f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface")
-    groups: dict[tuple, tuple[ContactLaws, list[int]]] = {}
+    groups: dict[str, tuple[ContactLaws, list[int]]] = {}
     for k, flank in enumerate(interface.flanks):
         laws = _laws(scene.laws_on(flank))
-        alike = tuple(vars(scene.laws_on(flank)).items())
+        alike = repr(scene.laws_on(flank))
         groups.setdefault(alike, (laws, []))[1].extend(np.flatnonzero(interface.flank_of_pair == k).tolist())
     return [(pairs, laws) for laws, pairs in groups.values()]
 
@@ -201,6 +202,7 @@ def check_flanks(scene: Scene, interface: Interface) -> None:
 
 
 def _laws(joint: Contact) -> ContactLaws:
+    known = {*list_parameters("normal", joint.normal), *list_parameters("tangential", joint.tangential)}
     return ContactLaws(
         normal=joint.normal,
         tangential=joint.tangential,
@@ -208,6 +210,7 @@ def _laws(joint: Contact) -> ContactLaws:
         normal_force=joint.normal_force if joint.normal == "prescribed" else None,
         initial_gap=joint.initial_gap,
         static_friction=joint.static_friction,
+        parameters={name: value for name, value in joint.parameters.items() if name in known},
     )
 
 

@@ -24,6 +24,7 @@ from ewr_fenicsx.law_kinds import (
     RealArray,
     Response,
     find_kind,
+    list_parameters,
     register_law,
     spread_over_pairs,
 )
@@ -89,10 +90,10 @@ class ContactLaws:
     def kinds(self) -> tuple[LawKind, LawKind]:
         """The normal and the tangential kind, with their parameters."""
         classes = find_kind("normal", self.normal), find_kind("tangential", self.tangential)
-        wanted = [[f.name for f in fields(kind)] for kind in classes]
+        wanted = list_parameters("normal", self.normal), list_parameters("tangential", self.tangential)
         for name in self.parameters:
             if not any(name in names for names in wanted):
-                known = sorted(set(wanted[0] + wanted[1]))
+                known = sorted({*wanted[0], *wanted[1]})
                 raise ModelError(
                     f'parameters["{name}"] is not known to normal = "{self.normal}" or tangential = "{self.tangential}"'
                     f"; they take {', '.join(known) or 'none'}{nearest(name, known)}"

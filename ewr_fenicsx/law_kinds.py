@@ -8,8 +8,11 @@ and register the kind (docs/adding_a_law.md).
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
@@ -214,6 +217,27 @@ def register_law(side: Side, name: str) -> Callable[[Kind], Kind]:
         return kind
 
     return enter
+
+
+def load_laws(source: Path) -> None:
+    """Runs a Python file that registers kinds of its own; run again, its kinds take the place of the former ones.
+
+    Raises:
+        Exception: What the file raises when it is run.
+    """
+    name = f"_laws_{source.stem}"
+    specification = spec_from_file_location(name, source)
+    module = sys.modules[name] = module_from_spec(specification)  # dataclasses look up the module that defines them
+    specification.loader.exec_module(module)
+
+
+def list_parameters(side: Side, name: str) -> tuple[str, ...]:
+    """Names of the parameters that a kind takes.
+
+    Raises:
+        ModelError: Nothing of that name is registered.
+    """
+    return tuple(f.name for f in fields(find_kind(side, name)))
 
 
 def known_laws(side: Side) -> tuple[str, ...]:

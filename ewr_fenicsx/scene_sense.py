@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from ewr_fenicsx.errors import nearest
+from ewr_fenicsx.law_kinds import find_kind, list_parameters
 from ewr_fenicsx.scene_joint import READ_BY, Contact
 
 if TYPE_CHECKING:
@@ -32,11 +34,11 @@ def find_doubts(scene: Scene) -> Iterator[str]:
                 f"{where}.friction = 0: friction that never resists, at the cost of its unknowns; "
                 'was tangential = "frictionless" meant?'
             )
-    opening = [where for where, c in joint.items() if c.normal == "unilateral" and c.initial_gap == 0]
+    opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
     if opening and not static:
         yield (
-            f'{opening[0]}.normal = "unilateral", and no load is static: nothing presses the joint together, and it '
-            "gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"
+            f'{opening[0]}.normal = "{joint[opening[0]].normal}", and no load is static: nothing presses the joint '
+            "together, and it gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"
         )
     if not oscillating_loads(scene) and len(scene.frequencies) == 1:
         yield (
@@ -67,7 +69,8 @@ def laws_in_force(scene: Scene) -> dict[str, Contact]:
 
 def can_wear(laws: Contact) -> bool:
     """Whether the bodies press, part and rub there: what wear needs, and what it changes."""
-    return laws.normal == "unilateral" and laws.tangential == "coulomb"
+    tangential = find_kind("tangential", laws.tangential)
+    return find_kind("normal", laws.normal).opens and "slip" in tangential.histories and not tangential.slides
 
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:
@@ -107,16 +110,28 @@ def _check_laws(scene: Scene) -> Iterator[str]:
     for where, laws in joint.items():
         if laws.normal == "prescribed" and laws.normal_force is None:
             yield f'{where}: normal = "prescribed" needs normal_force [N], the force of every pair'
+    reads = lambda laws, law, key: key in list_parameters(law, getattr(laws, law))  # noqa: E731
     for key, (law, name) in READ_BY.items():
         if key in scene.contact.model_fields_set and getattr(scene.contact, key) is not None:
             found = getattr(scene.contact, law)
-            if found != name and all(getattr(laws, law) != name for laws in joint.values()):
+            if not any(reads(laws, law, key) for laws in (scene.contact, *joint.values())):
                 yield f"contact: {_say_useless(key, law, found, name)}"
         for flank, own in scene.flanks.items():
             found = getattr(joint[f"flanks.{flank}"], law)
-            if getattr(own, key) is not None and found != name:
+            if getattr(own, key) is not None and not reads(joint[f"flanks.{flank}"], law, key):
                 source = "" if getattr(own, law) else ", as [contact] has it"
                 yield f"flanks.{flank}: {_say_useless(key, law, found, name, source)}"
+
+    known = {
+        n
+        for laws in joint.values()
+        for law in ("normal", "tangential")
+        for n in list_parameters(law, getattr(laws, law))
+    }
+    for where, given in {"contact": scene.contact, **{f"flanks.{n}": own for n, own in scene.flanks.items()}}.items():
+        for name in given.parameters or {}:
+            if name not in known:
+                yield f"{where}.parameters.{name}: no law of the joint takes it{nearest(name, known)}"
 
 
 def _say_useless(key: str, law: str, found: str, name: str, source: str = "") -> str:

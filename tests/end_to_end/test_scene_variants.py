@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -239,3 +240,27 @@ def test_a_bonded_scene_loads_and_runs_nothing_that_it_does_not_call_for(tmp_pat
     loaded = {name.split(".")[1] for name in loaded}
     assert code == "0" and "output" in loaded
     assert not loaded & {"wear", "wear_store", "archard", "frequency_sweep", "following", "time_integration", "effects"}
+
+
+def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
+    """The recipe of docs/adding_a_law.md beside a scene: its fields are written, its cost is told."""
+    recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1)
+    (tmp_path / "slider.py").write_text(code.replace('"jenkins"', '"spring_slider"'))
+    law = "law_files = ['slider.py']\ntangential = 'spring_slider'\nparameters = { spring = 1e7, limit = 3.0 }\n"
+    summary, fields = run("[contact]\n" + law)
+    assert fields == ALL_FIELDS | {"slider_velocity"}
+    pairs = summary["model"]["pairs"]
+    assert summary["solution"]["unknowns"] == 2 * pairs * 7 + 3
+    with (tmp_path / "results" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert max(abs(float(row["friction_force_max [N]"])) for row in rows) < 3.0 * 1.5
+    assert max(float(row["slider_velocity_max"]) for row in rows) > 0
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    lines = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "a law registered outside the package" in lines["Jenkins"] and str(7 * pairs) in lines["Jenkins"]
+    shares = [float(line.split()[-1].rstrip("%")) for line in lines.values() if line.rstrip().endswith("%")]
+    assert len(shares) == 3, "separation, the law and the floating body share the solve"
+    solve_share = summary["seconds"]["solve"] / sum(summary["seconds"].values())
+    assert sum(shares) == pytest.approx(100 * solve_share, abs=0.2)

@@ -212,6 +212,49 @@ def test_demo_scenes_raise_no_doubts(path):
         assert load_scene(path).doubts == ()
 
 
+OWN_LAW = """
+from dataclasses import dataclass
+from ewr_fenicsx.law_kinds import LawKind, register_law
+
+@register_law("tangential", "greased")
+@dataclass(frozen=True)
+class Greased(LawKind):
+    viscosity: float
+    histories = ("slip",)
+"""
+
+
+def test_scenes_may_bring_laws_of_their_own(read, tmp_path):
+    (tmp_path / "grease.py").write_text(OWN_LAW)
+    own = "[contact]\nlaw_files = ['grease.py']\n[flanks.left]\ntangential = 'greased'\n"
+    own += "parameters = { viscosity = 3.0 }\n"
+    scene = read(SCENE + own)
+    (left, greased), (_, usual) = lay_laws(scene, JOINT)
+    assert left == [0, 1] and greased.kinds[1].viscosity == 3.0
+    assert usual.tangential == "coulomb" and usual.parameters == {}
+    assert read(SCENE + own).laws_on("left").tangential == "greased", "reading it again does no harm"
+    with pytest.raises(
+        SceneError, match=r'parameters\.viscosty: no law of the joint takes it; did you mean "viscosity"'
+    ):
+        read(SCENE + own.replace("viscosity =", "viscosty ="))
+    with pytest.raises(SceneError, match=r'flanks\.left: friction does nothing with tangential = "greased"'):
+        read(SCENE + own + "friction = 0.2\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("tangential = 'coulombe'", r"contact\.tangential = 'coulombe': should be one of .*did you mean \"coulomb\""),
+        ("law_files = ['nowhere.py']", r"nowhere\.py cannot be run: FileNotFoundError"),
+        ("law_files = ['broken.py']", r"broken\.py cannot be run: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_mistakes_in_own_laws_are_named(read, tmp_path, text, expected):
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(SceneError, match=expected):
+        read(SCENE + "[contact]\n" + text)
+
+
 def test_effects_of_mixed_scenes_say_where_they_come_from(read):
     scene = read(
         HEAD + PULL + SHAKE + "[excitation]\nfrequency = 1000\n[wear]\ncycles = 500\n"
