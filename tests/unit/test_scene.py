@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from ewr_fenicsx.effects import list_effects
-from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene import Excitation, ForceLoad, Geometry, RotationLoad, Scene, Section, load_scene
 from ewr_fenicsx.scene_reference import list_sections, write_reference
 
@@ -165,7 +165,8 @@ def test_effects_follow_the_scene(read):
         "static load",
         "harmonic load",
     }
-    assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
+    with pytest.warns(SceneWarning, match="friction that never resists"):
+        assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
     assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000")
     odd = SCENE.replace("force = [0, 20e3]", "force = [0, 20e3]\nharmonic = 1") + "[solver]\nharmonics = [1, 3, 5]"
     assert "odd harmonics only" in on(odd)
