@@ -18,6 +18,7 @@ sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/verification")]
 import test_bar_against_wall as bar  # noqa: E402
 import test_den_hartog as den_hartog  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
+import test_hertz as hertz  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
 import test_reduction as reduction  # noqa: E402
 import test_time_integration as stepping  # noqa: E402
@@ -84,6 +85,30 @@ def press_bar(highest: int) -> Iterator[Row]:
     yield compare("mean contact force", bar.MEAN, solution.forces[0, 0].real)
     yield bound("gap over the period, rms", gap)
     yield bound("contact force over the period, rms", force)
+
+
+def press_cylinder(pairs: int) -> Iterator[Row]:
+    """Largest pressure and approach of the cylinder on a plane."""
+    solution = hertz.press(pairs)
+    _, _, spread = hertz.pressure_errors(pairs)
+    pressure = solution.history("normal_force", 4)[0] * pairs / (2 * hertz.REACH)
+    yield compare("largest pressure", hertz.exact_pressure(pairs).max(), pressure.max())
+    yield compare("half-width of contact", 1, hertz.REACH * np.mean(pressure > 1e-9))
+    yield compare("approach", hertz.approach(hertz.FORCE), -solution.output("height")[0].real)
+    yield bound("pressure, rms, of p0", spread)
+
+
+def rub_cylinder(pairs: int, highest: int) -> Iterator[Row]:
+    """Tangential force, tractions and work a cycle of the cylinder that is rubbed back and forth."""
+    hertz.rub.cache_clear()
+    solution = hertz.rub(pairs, highest)
+    force = -solution.history("admissible_friction_force", 4).sum(axis=1)
+    errors = hertz.traction_errors(pairs, highest)
+    yield compare("largest tangential force", hertz.LARGEST, force[0])
+    yield compare("tangential force where the shift is zero", hertz.exact_force_without_shift(), force[1])
+    yield bound("traction at the peak, largest, of mu p0", errors["traction at the peak"])
+    yield bound("traction where the shift is zero, largest", errors["traction without shift"])
+    yield compare("work a cycle", hertz.exact_work(), solution.merit["friction_dissipation"])
 
 
 def bend_beam() -> Iterator[Row]:
@@ -200,6 +225,8 @@ SECTIONS: dict[str, list[Case]] = {
             for kind in ("resolved", "zero")
         ),
         *((f"Bar pressed on a wall, N = {n}", press_bar, (n,)) for n in (5, 9, 17, 33)),
+        *((f"Hertz, {pairs} pairs", press_cylinder, (pairs,)) for pairs in (24, 96)),
+        *((f"Cattaneo and Mindlin, {p} pairs, N = {n}", rub_cylinder, (p, n)) for p, n in ((24, 15), (48, 31))),
     ],
     "Finite elements and reduction": [
         ("Cantilever, quadratic elements", bend_beam, ()),
