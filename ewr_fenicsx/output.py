@@ -122,10 +122,10 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution, steps: 
     coordinates = (phase @ solution.coordinates).real
     to_vertices = vertex_interpolation(chain.structure.space, (2,))
     frames = (to_vertices(chain.reduction.expand(x)) for x in coordinates)
-    _write_series(folder / "displacement.xdmf", domain, times, frames)
+    write_series(folder / "displacement.xdmf", domain, times, frames)
     for name, values in contact_fields(interface, solution, steps).items():
         spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)
-        _write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
+        write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
     with _open_xdmf(folder / "mesh_tags.xdmf", domain) as file:
         for name, tags in (("bodies", chain.mesh.cell_tags), ("boundaries", chain.mesh.facet_tags)):
             tags.name = name
@@ -280,7 +280,7 @@ def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDM
         path.write_text(text.replace("https://www.w3.org/", "http://www.w3.org/"), encoding="utf-8")
 
 
-def _write_series(
+def write_series(
     path: Path, domain: dolfinx.mesh.Mesh, times: RealArray, fields: Iterable[dolfinx.fem.Function]
 ) -> None:
     """Writes fields of degree 1 on ``domain``, named like their file; collective."""
