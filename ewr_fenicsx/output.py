@@ -66,7 +66,7 @@ def write_results(
         solution: Its periodic solution.
         overwrite: Whether an earlier result folder may be replaced.
         seconds: Time of the stages after the chain; None: that of the one solve.
-        write_more: Writes further files into the folder it is given, on rank 0.
+        write_more: Writes further files into the folder it is given; called on every rank.
 
     Returns:
         The files written, in ``folder``. The same on every rank.
@@ -79,14 +79,14 @@ def write_results(
         write_fields(draft, chain, solution)
         plots.draw_mesh(draft / "mesh.png", chain)
         plots.draw_mode(draft / "full_stick_mode.png", chain)
+        if write_more:
+            write_more(draft)
         memory = comm.gather(measure_memory(), root=0)
         if comm.rank == 0:
             plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
             plots.draw_contact_sets(draft / "contact_sets.png", chain.interface, solution)
             chain.reduction.model.save(draft / "reduced_model.h5")
             write_pairs(draft / "pairs.csv", chain.interface, solution)
-            if write_more:
-                write_more(draft)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
             summary = summarise(chain, solution) | {"peak_memory_MB": memory, "files": files}
             summary["seconds"] = dict(chain.seconds) | dict(seconds or {"solve": solution.seconds})

@@ -26,7 +26,7 @@ class Study:
         seconds: Time of each stage.
         curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
         told: A few lines for people.
-        write: Writes the study's own files into a folder; called on rank 0.
+        write: Writes the study's own files into a folder; collective.
     """
 
     solution: PeriodicSolution
@@ -81,6 +81,8 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
 
+        if comm.rank:
+            return
         curve.write_csv(folder / "frequency_response.csv")
         draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series)
 
@@ -110,7 +112,11 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
+        from ewr_fenicsx.wear_fields import write_wear_fields
 
+        write_wear_fields(folder, chain, history)
+        if chain.mesh.domain.comm.rank:
+            return
         history.write_csv(folder / "wear.csv")
         depths = {
             f"{flank} [µm]": 1e6 * history.depth[:, interface.flank_of_pair == k].mean(axis=1)

@@ -20,7 +20,7 @@ from ewr_fenicsx.cli import main
 from ewr_fenicsx.mesh import load_builder
 
 ROOT = Path(__file__).parents[2]
-SCENES = sorted(path.stem for path in ROOT.glob("demos/*.toml"))
+SCENES = ("friction_damped_beam", "two_blocks", "dovetail", "blade_root", "bolted_lap", "tapping_rod")
 
 
 @pytest.fixture

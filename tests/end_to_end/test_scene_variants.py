@@ -214,7 +214,7 @@ def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
     assert max(worn) == pytest.approx(float(history[-1]["deepest [m]"]), rel=1e-12)
     assert max(worn) > 0
     summary = json.loads((tmp_path / "results" / "summary.json").read_text())
-    assert {"wear.csv", "wear.png", "worn_depth.xdmf"} <= set(summary["files"])
+    assert {"wear.csv", "wear.png", "worn_depth.xdmf", "worn_gap.xdmf", "worn_surface.xdmf"} <= set(summary["files"])
     capsys.readouterr()
     assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("wear "))
