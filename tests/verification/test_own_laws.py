@@ -202,6 +202,94 @@ def test_cubic_spring_is_duffing_s_oscillator(frequency):
     assert solution.unknowns == 2
 
 
+@register_law("tangential", "planar")
+@dataclass(frozen=True, eq=False)
+class PlanarFriction(LawKind):
+    """Coulomb's law in a plane: a disk in place of an interval. Two laws, each of one direction, that see both."""
+
+    friction: float = 0.2
+    histories = ("friction_force", "slip", "slip_velocity")
+    needs = ("normal",)
+    odd = blind_to_mean = True
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        return PLANE
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        friction, rho = group.spread(self.friction), sum(group.weight[d] for d in PLANE) / 2
+        return tuple(DiskCone(group.pairs, direction, friction, rho) for direction in PLANE)
+
+
+PLANE = ("tangential", "second_tangential")
+
+
+@dataclass(frozen=True, eq=False)
+class DiskCone(Law):
+    pairs: np.ndarray
+    direction: str
+    friction: np.ndarray
+    rho: np.ndarray
+    static_force_row: float = 1e-4
+
+    def evaluate(self, motion: Motion) -> Response:
+        limit = self.friction * np.maximum(0.0, motion.force["normal"])
+        trial = {d: motion.force[d] - motion.velocity[d] / self.rho for d in PLANE}
+        size = np.hypot(*trial.values())
+        slips = size > limit
+        shrink = np.where(slips, limit / np.where(slips, size, 1.0), 1.0)
+        toward = {d: np.where(slips, trial[d] / np.where(slips, size, 1.0), 0.0) for d in PLANE}
+        partials = [Partial("force", "normal", -toward[self.direction] * self.friction * (motion.force["normal"] > 0))]
+        for d in PLANE:
+            own = float(d == self.direction)
+            by_trial = shrink * (own - toward[d] * toward[self.direction])
+            partials += [Partial("force", d, own - by_trial), Partial("velocity", d, by_trial / self.rho)]
+        return Response(motion.force[self.direction] - shrink * trial[self.direction], tuple(partials))
+
+
+def sled(load: tuple[complex, complex], damping: float = 0.1) -> ReducedModel:
+    """A mass on equal springs in a plane, rubbing in both directions."""
+    return ReducedModel(
+        mass=np.eye(2),
+        damping=damping * np.eye(2),
+        stiffness=np.eye(2),
+        normal=np.zeros((1, 2)),
+        tangential=np.eye(2),
+        load={1: load},
+        outputs={"x": [1.0, 0.0], "y": [0.0, 1.0]},
+    )
+
+
+def planar(limit: float) -> ContactLaws:
+    return ContactLaws("prescribed", "planar", normal_force=limit, friction=1.0)
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.15, 0.25])
+def test_planar_friction_under_a_rotating_load_is_a_circle(frequency):
+    """Friction of constant size F against the speed: P^2 = ((k - m w^2) r)^2 + (c w r + F)^2."""
+    P, F, c, w = 1.0, 0.4, 0.1, 2 * np.pi * frequency
+    solution = solve(ContactProblem(sled((P, -1j * P), c), planar(F), frequency, 3), tolerance=1e-11)
+    x, y = (solution.output(name)[1] for name in ("x", "y"))
+    r = abs(x)
+    assert ((1 - w**2) * r) ** 2 + (c * w * r + F) ** 2 == pytest.approx(P**2, rel=1e-9)
+    assert y == pytest.approx(-1j * x, rel=1e-9), "a circle"
+    assert solution.unknowns == 2 * 5, "two directions at harmonics 0, 1 and 3"
+    np.testing.assert_allclose(solution.output("x")[2:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 37.0, 90.0])
+def test_planar_friction_along_a_line_is_coulomb_s_law(angle):
+    """In whatever direction the load points."""
+    direction = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    plane = solve(ContactProblem(sled(tuple(direction)), planar(0.4), 0.15, 7))
+    line = solve(
+        ContactProblem(
+            friction_oscillator(damping=0.1), ContactLaws("prescribed", normal_force=0.4, friction=1.0), 0.15, 7
+        )
+    )
+    found = np.array([plane.output("x"), plane.output("y")])
+    np.testing.assert_allclose(found, np.outer(direction, line.output("tip")), atol=1e-8)
+
+
 def test_own_kinds_are_known_by_name_and_guard_it(recipe):
     assert "jenkins" in known_laws("tangential") and "duffing" in known_laws("normal")
     with pytest.raises(ModelError, match=r'tangential = "coulomb" is ewr_fenicsx\.coulomb\.DryFriction already'):
