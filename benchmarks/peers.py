@@ -252,7 +252,7 @@ def assess(run: dict, model: ReducedModel, ours: np.ndarray, seconds: np.ndarray
     """A run of pyHarm with its distance from our tips ``(points,)``, its time a point and the ratio to ours."""
     solved = np.flatnonzero(run["solved"])
     mean = float(np.mean(np.array(run["seconds"])[solved])) if solved.size else None
-    return {key: run[key] for key in ("variant", "eps", "solver")} | {
+    return {key: run[key] for key in ("variant", "eps", "solver", "jacobian_error")} | {
         "count": int(solved.size),
         "distance": measure_distance(read_tip(model, run["coordinates"][solved]), ours[solved])
         if solved.size
@@ -365,10 +365,11 @@ def main() -> None:
             results.append(compare(pairs, load, arguments.harmonics, arguments.samples))
             print_table(
                 f"pyHarm, {pairs} pairs, load {load}, N = {arguments.harmonics}: every run",
-                ["variant", "eps", "solver", "points solved", "s a point", "ratio", "apart %"],
+                ["variant", "eps", "solver", "Jacobian off by", "points solved", "s a point", "ratio", "apart %"],
                 [
                     [
-                        *(run[key] for key in ("variant", "eps", "solver", "count", "mean_seconds", "ratio")),
+                        *(run[key] for key in ("variant", "eps", "solver", "jacobian_error")),
+                        *(run[key] for key in ("count", "mean_seconds", "ratio")),
                         percent(run["distance"]),
                     ]
                     for run in results[-1]["runs"]

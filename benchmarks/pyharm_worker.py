@@ -182,6 +182,21 @@ def sweep(case: dict[str, np.ndarray], eps: float, solver: str, most_seconds: fl
     }  # fmt: skip
 
 
+def measure_jacobian_error(case: dict[str, np.ndarray], eps: float) -> float:
+    """Relative error of the system's Jacobian along a random direction, against a central difference.
+
+    At a random point near full stick, where some pairs slip or open.
+    """
+    system = Maestro(describe_system(case, eps) | {"plugin": [], "analysis": {}}).system
+    rng = np.random.default_rng(0)
+    x = stick_everywhere(system, case)
+    x = np.append(x + 0.05 * rng.normal(size=x.size), case["omegas"][0])
+    step = np.append(1e-6 * rng.normal(size=x.size - 1), 0.0)
+    difference = 0.5 * (system.Residual(x + step) - system.Residual(x - step))
+    error = system.Jacobian(x)[0] @ step[:-1] - difference
+    return float(np.linalg.norm(error) / np.linalg.norm(difference))
+
+
 def stick_everywhere(system, case: dict[str, np.ndarray]) -> np.ndarray:
     """Linear solution at the first frequency with every pair bonded, pyHarm's unknowns.
 
@@ -225,8 +240,9 @@ def main() -> None:
     for mended in case["mended"]:
         PlaneContact.mended = bool(mended)
         for eps in case["eps"]:
+            error = measure_jacobian_error(case, float(eps))
             for solver in case["solvers"]:
-                settings = {"mended": bool(mended), "eps": float(eps), "solver": str(solver)}
+                settings = {"mended": bool(mended), "eps": float(eps), "solver": str(solver), "jacobian_error": error}
                 try:
                     sweep(dict(case, omegas=case["omegas"][:2]), float(eps), solver, 60.0)  # compilation is not timed
                     result = sweep(case, float(eps), solver, float(case["most_seconds"]))

@@ -34,8 +34,8 @@ BLADE_TITLE = "The blade root: harmonic balance against time stepping"
 BLADE_CASES = {
     "Full stick": (1000.0, 0.1),
     "Some pairs slip": (900.0, 1.0),
-    "Most pairs slip, some lift off": (1000.0, 1.0),
-    "Every flank slips and lifts off": (1000.0, 2.0),
+    "All pairs slip, some lift off": (1000.0, 1.0),
+    "All pairs slip and lift off": (1000.0, 2.0),
 }
 BLADE_HEADER = ["N", "tip, %", "tip modulus, %", "tip rms, %", "gaps, %", "normal forces, %", "friction forces, %"]
 BLADE_HEADER += ["cone violation", "Newton steps", "time, s"]
