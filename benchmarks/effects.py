@@ -15,14 +15,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from statistics import median
 from unittest.mock import patch
 
 import numpy as np
-from models import lap_joint
+from models import blade_root, lap_joint
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, solve
@@ -188,15 +188,17 @@ def compare(found: PeriodicSolution, full: PeriodicSolution, first: int = 0) -> 
     return float(difference)
 
 
-def measure(pose_problem: Callable[[], ContactProblem], repeats: int) -> tuple[PeriodicSolution, float]:
-    """A cold solve, and the median time of several [s], composition included."""
-    times = []
+def measure(posers: Sequence[Callable[[], ContactProblem]], repeats: int) -> list[tuple[PeriodicSolution, float]]:
+    """Cold solves, and the median time of several of each [s], composition included; one of each in turn."""
+    times: list[list[float]] = [[] for _ in posers]
     for _ in range(repeats + 1):  # the first one warms the caches
-        problem = pose_problem()
-        begin = time.perf_counter()
-        solution = solve(problem, tolerance=1e-11)
-        times.append(time.perf_counter() - begin)
-    return solution, median(times[1:])
+        solutions = []
+        for own, pose_problem in zip(times, posers, strict=True):
+            problem = pose_problem()
+            begin = time.perf_counter()
+            solutions.append(solve(problem, tolerance=1e-11))
+            own.append(time.perf_counter() - begin)
+    return [(solution, median(own[1:])) for solution, own in zip(solutions, times, strict=True)]
 
 
 def measure_wear(posed: tuple[ContactProblem, np.ndarray], repeats: int):
@@ -211,20 +213,46 @@ def measure_wear(posed: tuple[ContactProblem, np.ndarray], repeats: int):
     return history, median(times[1:])
 
 
+def list_blade_root() -> list[tuple[str, ContactProblem, int]]:
+    """Scenes on the demo's blade root, 40 pairs on four flanks, N = 9: name, problem and unknowns by formula."""
+    model, coefficients, rigid = blade_root(), 19, 3
+    flank = lambda k: np.arange(10 * k, 10 * (k + 1))  # noqa: E731
+    rubs = ContactLaws(friction=0.2)
+    laws = {
+        "bonded": (BONDED, 0),
+        "bonded normal, frictionless": (ContactLaws("bonded", "frictionless"), 0),
+        "separation, stuck": (BONDED_HEAVY, 40 * coefficients),
+        "one flank of four, the others bonded": (
+            [(flank(0), rubs), (np.arange(10, 40), BONDED)],
+            20 * coefficients,
+        ),
+        "two flanks of four, the others bonded": (
+            [(np.arange(20), rubs), (np.arange(20, 40), BONDED)],
+            40 * coefficients,
+        ),
+        "at rest": (rubs, 80 + rigid),
+        "separation and friction": (rubs, 80 * coefficients + rigid),
+    }
+    pose = lambda name, of: ContactProblem(  # noqa: E731
+        model, of, 1000.0, 9, load={0: model.load[0]} if name == "at rest" else None
+    )
+    return [(name, pose(name, of), unknowns) for name, (of, unknowns) in laws.items()]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=5, help="runs of each solve, of which the median counts [5]")
+    parser.add_argument("--repeats", type=int, default=9, help="runs of each solve, of which the median counts [9]")
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/effects.json]")
     arguments = parser.parse_args()
     machine = describe_machine()
     rows, records = [], []
     for case in CASES:
-        solution, seconds = measure(case.problem, arguments.repeats)
+        posers = [case.problem] + ([case.full] if case.full else [])
+        (solution, seconds), *fuller = measure(posers, arguments.repeats)
         record = {"scene": case.name, "unknowns": solution.unknowns, "formula": case.unknowns, "seconds": seconds}
         record |= {"steps": solution.iterations, "full_steps": None}
         record |= {"inert": case.inert or "(the fullest)", "full_unknowns": None, "ratio": None, "difference": None}
-        if case.full is not None:
-            full, full_seconds = measure(case.full, arguments.repeats)
+        for full, full_seconds in fuller:
             record |= {"full_unknowns": full.unknowns, "full_seconds": full_seconds, "ratio": seconds / full_seconds}
             record["full_steps"] = full.iterations
             record["difference"] = compare(solution, full, case.first)
@@ -249,7 +277,15 @@ def main() -> None:
     header = ["scene", "unknowns", "steps", "fullest formulation: inert", "unknowns", "steps"]
     header += ["difference", "ms", "time / fullest"]
     print_table("Scenes that say what they mean, against the same physics with inert effects", header, rows)
-    write_json("effects", {"machine": machine, "cases": records}, arguments.output)
+    blade, shown = [], []
+    for name, problem, unknowns in list_blade_root():
+        ((solution, seconds),) = measure([lambda problem=problem: replace(problem)], arguments.repeats)
+        blade.append({"scene": name, "unknowns": solution.unknowns, "formula": unknowns, "seconds": seconds})
+        shown.append([name, solution.unknowns, unknowns, solution.iterations, 1e3 * seconds])
+    fullest = blade[-1]["seconds"]
+    header = ["scene", "unknowns", "by formula", "steps", "ms", "time / fullest"]
+    print_table("The blade root, N = 9", header, [[*row, row[-1] / 1e3 / fullest] for row in shown])
+    write_json("effects", {"machine": machine, "cases": records, "blade_root": blade}, arguments.output)
 
 
 if __name__ == "__main__":

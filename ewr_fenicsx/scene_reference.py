@@ -58,6 +58,20 @@ friction = 0.5
 initial_gap = 2e-6
 ```
 
+A list of frequencies or a range is a sweep, and a table `[wear]` follows fretting wear over many cycles:
+
+```toml
+[excitation]
+frequency = { from = 900.0, to = 1200.0, points = 31 }
+```
+
+```toml
+[wear]
+coefficient = 1e-11
+cycles = 3000
+tolerance = 0.01          # jumps over cycles; without it every cycle is solved
+```
+
 Entries that contradict each other are an error, combinations that were probably not meant a warning; each says what the
 scene would mean.
 

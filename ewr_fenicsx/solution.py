@@ -232,8 +232,11 @@ class PeriodicSolution:
     def summary(self) -> str:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
+        where = "at rest"
+        if self.orders[-1]:
+            where = f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}"
         lines = [
-            f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}: {state} in "
+            f"{where}: {state} in "
             f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
             f"{self.seconds:.2f} s"
         ]
