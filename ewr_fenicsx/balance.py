@@ -47,6 +47,7 @@ class HarmonicBalance:
         if self.basis.has_mean:
             self.unknown[0] = self.static_row > 0
         self.size = int(self.unknown.sum()) + self.rigid
+        self.linear = self.size == 0 or all(law.linear for law in system.laws)
 
     @cached_property
     def full_stick(self) -> tuple[ComplexArray, RealArray]:

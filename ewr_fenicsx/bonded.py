@@ -55,6 +55,7 @@ class Bond(Law):
     pairs: np.ndarray
     rho: RealArray
     direction: str = "normal"
+    linear: bool = True
 
     @property
     def static_target(self) -> RealArray:

@@ -87,6 +87,7 @@ class Law(Protocol):
             law with a partial derivative by its velocity may have one.
         static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
         stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
+        linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
     """
 
     direction: str
@@ -96,6 +97,7 @@ class Law(Protocol):
     static_displacement_row: float | RealArray = 0.0
     static_target: RealArray | None = None
     stick_flexibility: float | RealArray = 0.0
+    linear: bool = False
 
     def evaluate(self, motion: Motion) -> Response:
         """Residual and generalised derivatives at every sample."""

@@ -69,8 +69,9 @@ def solve(
     fallbacks = tuple(tried) if len(tried) > 1 else ()
     end = time.perf_counter()
     solution = include_idle(wrap(problem, balance, attempts, fallbacks, end - begin), asked)
+    iterated = balance is not None and not balance.linear
     solution = replace(
-        solution, stages={"compose": composed - begin} | ({"newton": end - composed} if attempts else {})
+        solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
         raise NotConverged(
@@ -90,6 +91,9 @@ def list_rungs(
     linear_solver: LinearSolver,
 ) -> Iterator[tuple[str, Callable[[], Attempt]]]:
     """The ways to a solution, the cheapest first: name and what to call."""
+    if balance.linear:
+        yield "one linear solve", lambda: solve_linear(balance, tolerance)
+        return
     if start is not None:
         yield "given start", lambda: go_on_from(start, balance, tolerance, linear_solver)
     yield "growing harmonics", lambda: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
@@ -101,6 +105,19 @@ def list_rungs(
         yield "rounded corners", lambda: sharpen_corners(balance, tolerance, lost)
     rungs = (sharpen_corners, trace_load)
     yield "more sets of harmonics", lambda: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
+
+
+def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
+    """The solution where no law has a kink or a curve: nothing to iterate on."""
+    unknowns = np.zeros(balance.size)
+    if balance.size:
+        step = balance.linearise(unknowns)
+        try:
+            unknowns = -step.solve(step.residual)
+        except np.linalg.LinAlgError:
+            return Attempt(unknowns, float(np.linalg.norm(step.residual)), 0, "the linear problem is singular", False)
+    residual = float(np.linalg.norm(balance.residual(unknowns)))
+    return Attempt(unknowns, residual, 0, "linear", residual <= tolerance)
 
 
 def leave_default_weights(

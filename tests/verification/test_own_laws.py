@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -28,6 +28,10 @@ from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.solution import PeriodicSolution
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from effects import count_calls
 
 RECIPE = Path(__file__).parents[2] / "docs" / "adding_a_law.md"
 
@@ -200,6 +204,67 @@ def test_cubic_spring_is_duffing_s_oscillator(frequency):
     omega = 2 * np.pi * frequency
     assert (1 - omega**2) * X.real + 0.75 * 0.7 * X.real**3 == pytest.approx(0.4, rel=1e-9)
     assert solution.unknowns == 2
+
+
+@register_law("normal", "gasket")
+@dataclass(frozen=True, eq=False)
+class Gasket(LawKind):
+    """A spring and a damper across the pair [N/m, N s/m]: linear."""
+
+    stiffness: float
+    viscosity: float
+    histories = ("normal_force",)
+    odd = True
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        return ("normal",)
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        return (KelvinVoigt(group.pairs, self.stiffness, self.viscosity),)
+
+
+@dataclass(frozen=True, eq=False)
+class KelvinVoigt(Law):
+    pairs: np.ndarray
+    stiffness: float
+    viscosity: float
+    direction: str = "normal"
+    linear: bool = True
+
+    def evaluate(self, motion: Motion) -> Response:
+        opening, rate = motion.displacement["normal"], motion.velocity["normal"]
+        same = np.ones_like(opening)
+        return Response(
+            motion.force["normal"] + self.stiffness * opening + self.viscosity * rate,
+            (
+                Partial("force", "normal", same),
+                Partial("displacement", "normal", self.stiffness * same),
+                Partial("velocity", "normal", self.viscosity * same),
+            ),
+        )
+
+
+def test_linear_laws_are_one_solve_and_no_snes():
+    """Springs and dampers across the pairs, against the same in the model's matrices."""
+    model = replace(random_structure(size=8, pairs=3), load={0: np.ones(8), 1: np.arange(8) - 3j, 2: np.ones(8)})
+    laws = ContactLaws("gasket", "frictionless", parameters={"stiffness": 0.7, "viscosity": 0.3})
+    with count_calls() as counts:
+        solution = solve(ContactProblem(model, laws, 0.1, 4))
+    assert not counts and solution.reason == "linear" and solution.iterations == 0 and solution.unknowns == 3 * 9
+    rows = model.normal.T @ model.normal
+    built_in = replace(model, stiffness=model.stiffness + 0.7 * rows, damping=model.damping + 0.3 * rows)
+    expected = solve(ContactProblem(built_in, ContactLaws("prescribed", "frictionless", normal_force=0.0), 0.1, 4))
+    np.testing.assert_allclose(solution.output("tip"), expected.output("tip"), rtol=1e-10, atol=1e-12)
+
+
+def test_a_problem_without_an_unknown_left_creates_no_snes():
+    """At rest, with the mean friction set to zero under a given force: rows, but nothing to find."""
+    model = replace(random_structure(), load={0: np.ones(9)})
+    laws = ContactLaws("prescribed", normal_force=1.0, static_friction="zero")
+    with count_calls() as counts:
+        solution = solve(ContactProblem(model, laws, 0.1, 3))
+    assert not counts["SNES"] and solution.unknowns == 0 and solution.converged
+    assert not np.any(solution.forces)
 
 
 @register_law("tangential", "planar")
