@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import h5py
 import meshio
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from ewr_fenicsx import Tolerance, evolve_wear, load_scene
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.wear_fields import WEAR_FIELDS, tabulate_wear_fields, write_wear_fields
 
-SCENE = Path(__file__).parents[2] / "demos" / "blade_root.toml"
+DEMOS = Path(__file__).parents[2] / "demos"
+SCENE = DEMOS / "blade_root.toml"
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +80,19 @@ def test_files_are_plain_hdf5(worn):
     for name in (*WEAR_FIELDS, "worn_surface"):
         with h5py.File(folder / f"{name}.h5") as file:
             assert len(file[f"Function/{name}"]) == len(history.cycles)
+
+
+@pytest.mark.slow
+def test_paraview_draws_the_flanks_wearing(worn, tmp_path):
+    """The script of the demos, without a display: a frame for each step, the last with the flanks apart."""
+    folder, _, history = worn
+    for program in ("xvfb-run", "pvbatch"):
+        assert shutil.which(program), f"the full run needs {program}: tools/setup.sh full installs it"
+    draw = ["pvbatch", "--force-offscreen-rendering", DEMOS / "wear_in_paraview.py", folder, tmp_path]
+    done = subprocess.run(["xvfb-run", "-a", *draw], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Error" not in done.stderr and "ERR|" not in done.stderr, done.stderr
+    assert len(list(tmp_path.glob("wear_*.png"))) == len(history.cycles)
+    first, last = imread(tmp_path / "wear_0000.png")[..., :3], imread(tmp_path / "wear.png")[..., :3]
+    changed = np.abs(first - last).max(axis=2) > 0.1
+    assert 0.002 < changed.mean() < 0.2, "flanks take on colour, and nothing else does"

@@ -6,6 +6,8 @@ given by the load, Archard's law makes differences of pressure decay by the fact
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_models import dovetail, winkler_punch
@@ -120,6 +122,17 @@ def test_a_cycle_that_wears_more_than_contact_can_follow_ends_the_run():
     assert "lower the wear coefficient" in history.stopped
 
 
+def test_damped_jumps_cross_what_single_cycles_cannot():
+    """Where a cycle wears more than contact can follow, as on a fine mesh, damped jumps still wear the crown flat."""
+    coefficient = 2 / (0.8 * 4 * STIFFNESS * SWING)  # the limit is 0.8 cycles
+    history = evolve_wear(punch(CROWN), 200, coefficient, Tolerance(share=1e-3, damped=True))
+    assert history.stopped is None
+    exact = 4 * coefficient * MEAN_PRESSURE * SWING * 200
+    assert history.depth[-1].mean() == pytest.approx(exact, rel=1e-3)
+    spread = np.ptp(pressures(history), axis=1)
+    assert spread[-1] < 1e-3 * spread[0]
+
+
 @pytest.mark.parametrize("share", [1e-1, 1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("damped", [True, False])
 def test_jumped_and_every_cycle_runs_agree_within_the_tolerance(share, damped):
@@ -194,3 +207,16 @@ def test_wear_goes_on_from_a_worn_joint():
     problem = punch(CROWN)
     worn = ContactProblem(problem.model, problem.laws, 100.0, harmonics=1, wear=first.depth[-1])
     np.testing.assert_allclose(evolve_wear(worn, 8, COEFFICIENT).depth[-1], whole.depth[-1], rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_worn_volume_does_not_depend_on_the_number_of_pairs(monkeypatch):
+    """10 and 20 pairs a flank of the blade root, on meshes to match; benchmarks/wear_pairs.py has the table with 40."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    from wear_pairs import measure_volumes
+
+    coarse, fine = measure_volumes(300, pairs=(10, 20))
+    assert coarse["volume"] == pytest.approx(fine["volume"], rel=0.01)
+    assert coarse["first_cycle"] == pytest.approx(coarse["integral"], rel=1e-4)
+    assert fine["first_cycle"] == pytest.approx(fine["integral"], rel=1e-4)
+    assert coarse["nodal"] / fine["nodal"] > 1.8, "by nodal force the depth would halve"
