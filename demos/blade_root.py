@@ -45,7 +45,7 @@ assert abs(first / 1090 - 1) < 0.01
 # three rigid-body motions too.
 
 # %%
-solution = solve(pose_problem(scene, model), tolerance=scene.solver.tolerance)
+solution = solve(pose_problem(scene, model, interface), tolerance=scene.solver.tolerance)
 print(solution.summary())
 tip = solution.output("tip")
 print(f"tip amplitude {1e3 * abs(tip[1]):.3f} mm")

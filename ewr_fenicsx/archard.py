@@ -31,10 +31,7 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
 
 def find_wearing_pairs(problem: ContactProblem) -> np.ndarray:
     """``(K_c,)`` which pairs can wear: those whose normal law knows a gap."""
-    wears = np.zeros(problem.model.pairs, dtype=bool)
-    for pairs, laws in problem.groups:
-        wears[pairs] = laws.normal == "unilateral"
-    return wears
+    return problem.opens
 
 
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:

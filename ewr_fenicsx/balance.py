@@ -9,15 +9,16 @@ the dense solve has only the rows that change status.
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cache, cached_property, partial
 
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.contact_laws import Motion
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.elimination import REDUNDANCY, Derivative, Elimination, apply_harmonics
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.law_kinds import Motion, Signal, Variable
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
@@ -46,6 +47,7 @@ class HarmonicBalance:
         if self.basis.has_mean:
             self.unknown[0] = self.static_row > 0
         self.size = int(self.unknown.sum()) + self.rigid
+        self.linear = self.size == 0 or all(law.linear for law in system.laws)
 
     @cached_property
     def full_stick(self) -> tuple[ComplexArray, RealArray]:
@@ -53,7 +55,10 @@ class HarmonicBalance:
         compliance = self.compliance
         forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
         rigid = np.zeros(self.rigid)
-        shift = np.diag(REDUNDANCY * self.system.flexibility)
+        own = REDUNDANCY * self.system.flexibility
+        for law, rows in zip(self.system.laws, self.law_rows, strict=True):
+            own[rows] += law.stick_flexibility
+        shift = np.diag(own)
         for j, h in enumerate(self.basis.orders):
             if h:
                 forces[j] = np.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
@@ -105,16 +110,29 @@ class HarmonicBalance:
     def sample(self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis | None = None) -> list[Motion]:
         """What each law sees over one period under force and motion amplitudes ``(n_h, m)``, for all laws in turn."""
         basis = basis or self.basis
-        signals = [basis.synthesise(s) for s in (forces, motion, self.rate[:, None] * motion)]
+        signals = self.signals(forces, motion, basis)
         seen = []
         for law in self.system.laws:
-            columns = {d: self.system.row_of(d, law.pairs) for d in self.system.index}
-            columns = {d: c for d, c in columns.items() if np.all(c >= 0)}
-            motion = Motion(*({d: signal[:, c] for d, c in columns.items()} for signal in signals))
+            columns = {d: rows[law.pairs] for d, rows in self.system.index.items() if np.all(rows[law.pairs] >= 0)}
+            motion = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
             if "normal" not in columns:
-                motion.force["normal"] = sample_amplitudes(self.system.prescribed, law.pairs, basis.samples)
-            seen.append(motion)
+                given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, basis.samples))
+                motion["force"] = Signal(signals["force"], columns, {"normal": given})
+            seen.append(Motion(**motion))
         return seen
+
+    def signals(
+        self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis
+    ) -> dict[Variable, Callable[[], RealArray]]:
+        """Variable -> what computes it at all rows over one period, ``(n_t, m)``, once and only when called."""
+        rate = self.rate[:, None]
+        synthesise = {
+            "force": lambda: basis.synthesise(forces),
+            "force_rate": lambda: basis.synthesise(rate * forces),
+            "displacement": lambda: basis.synthesise(motion),
+            "velocity": lambda: basis.synthesise(rate * motion),
+        }
+        return {name: cache(compute) for name, compute in synthesise.items()}
 
     def residual(self, unknowns: RealArray) -> RealArray:
         """Scaled weighted residual, ``(size,)``."""
@@ -184,8 +202,8 @@ class NewtonStep:
         """``(m,)`` share of a diagonal shift that each row takes: less where the law barely answers to its motion."""
         system, answer = self.balance.system, np.zeros(self.balance.rows)
         for d in self.derivatives:
-            if d.variable != "force":
-                rate = system.compliance.omega if d.variable == "velocity" else 1.0
+            if not d.by_force:
+                rate = system.compliance.omega if d.by_rate else 1.0
                 np.maximum.at(answer, d.rows, rate * np.abs(d.values).max(axis=0) * system.flexibility[d.columns])
         return np.where(answer > 0, np.minimum(1.0, answer), 1.0)
 
@@ -198,14 +216,10 @@ class NewtonStep:
     def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
         """Change of the residual with force and motion amplitudes ``(n_h, m)`` and rigid coordinates ``(r,)``."""
         balance, basis = self.balance, self.balance.basis
-        signals = {
-            "force": basis.synthesise(forces),
-            "displacement": basis.synthesise(motion),
-            "velocity": basis.synthesise(balance.rate[:, None] * motion),
-        }
+        signals = balance.signals(forces, motion, basis)
         samples = np.zeros((basis.samples, balance.rows))
         for d in self.derivatives:
-            samples[:, d.rows] += d.values * signals[d.variable][:, d.columns]
+            samples[:, d.rows] += d.values * signals[d.variable]()[:, d.columns]
         coefficients = basis.project(samples)
         rigid_balance = np.zeros(0)
         if basis.has_mean:
@@ -282,17 +296,17 @@ class NewtonStep:
             T = basis.multiplication(d.values[:, pick])
             if basis.has_mean:
                 T[:, 0, :] *= balance.static_row[d.rows[pick], None]
-            if d.variable == "force":
+            if d.by_rate:
+                T = basis.differentiate_columns(T, balance.compliance.omega)
+            if d.by_force:
                 inside = place[columns] >= 0
                 block[at[inside], :, :, place[columns[inside]]] += T[inside]
                 at, columns, T = at[~inside], columns[~inside], T[~inside]
                 if at.size == 0:
                     continue
-            elif d.variable == "velocity":
-                T = basis.differentiate_columns(T, balance.compliance.omega)
-                if basis.has_mean:
-                    T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]]
-            V, v, g = elimination.follow("force" if d.variable == "force" else "motion", columns)
+            elif d.by_rate and basis.has_mean:
+                T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]]
+            V, v, g = elimination.follow(d.by_force, columns)
             block[at] += apply_harmonics(basis, T, V)
             known[at] -= np.einsum("kij,jk->ki", T, basis.to_coefficients(v))
             if balance.rigid:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx import elasticity, materials
@@ -16,11 +17,15 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
 from ewr_fenicsx.errors import SceneError, nearest
 from ewr_fenicsx.interface import Interface, pair_interface
+from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.scene import ModalDamping, RayleighDamping, RotationLoad, Scene
+from ewr_fenicsx.scene_joint import Contact
+from ewr_fenicsx.scene_sense import can_wear
 
+Laws = ContactLaws | list[tuple[list[int], ContactLaws]]
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
 
 
@@ -87,6 +92,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         interface = pair_interface(
             structure, contact.flanks, body_a=contact.body_a, body_b=contact.body_b, tolerance=contact.pair_tolerance
         )
+    check_flanks(scene, interface)
     with watch.stage("reduction"):
         reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
     return Chain(scene, mesh, structure, interface, reduction, watch.seconds)
@@ -101,30 +107,58 @@ def build_reduced_model(scene: Scene) -> ReducedModel:
     return build_chain(scene).reduction.model
 
 
-def pose_problem(scene: Scene, model: ReducedModel) -> ContactProblem:
+def pose_problem(
+    scene: Scene, model: ReducedModel, interface: Interface | None = None, frequency: float | None = None
+) -> ContactProblem:
     """The contact problem that a scene poses on its reduced model.
+
+    Args:
+        scene: The scene.
+        model: Its reduced model.
+        interface: Its pairs; only a scene whose flanks have laws of their own needs it.
+        frequency: In place of the scene's, or of the first one of its sweep [Hz].
 
     Raises:
         ModelError: Laws, harmonics or samples do not fit together.
+        SceneError: Flanks have laws of their own and no interface says which pairs are theirs.
     """
-    contact, solver = scene.contact, scene.solver
-    laws = ContactLaws(
-        normal=contact.normal,
-        tangential=contact.tangential,
-        friction=contact.friction,
-        normal_force=contact.normal_force,
-        initial_gap=contact.initial_gap,
-        static_friction=contact.static_friction,
-    )
+    solver = scene.solver
+    frequency = frequency or next(iter(scene.frequencies), 0.0)
     return ContactProblem(
         model,
-        laws,
-        frequency=scene.excitation.frequency,
-        harmonics=scene.harmonics,
-        samples=solver.samples,
+        lay_laws(scene, interface),
+        frequency=frequency,
+        harmonics=solver.harmonics if frequency else 0,
+        samples=solver.samples if frequency else None,
         rho_normal=solver.rho_normal,
         rho_tangential=solver.rho_tangential,
     )
+
+
+def lay_laws(scene: Scene, interface: Interface | None = None) -> Laws:
+    """The laws of a scene: one for all pairs, or by groups of pairs where flanks have their own.
+
+    Raises:
+        SceneError: As ``pose_problem``.
+    """
+    if not scene.flanks:
+        return _laws(scene.contact)
+    if interface is None:
+        raise SceneError(f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface")
+    groups: dict[str, tuple[ContactLaws, list[int]]] = {}
+    for k, flank in enumerate(interface.flanks):
+        laws = _laws(scene.laws_on(flank))
+        alike = repr(scene.laws_on(flank))
+        groups.setdefault(alike, (laws, []))[1].extend(np.flatnonzero(interface.flank_of_pair == k).tolist())
+    return [(pairs, laws) for laws, pairs in groups.values()]
+
+
+def spread_wear(scene: Scene, interface: Interface) -> np.ndarray:
+    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where nothing wears."""
+    own = {name: flank.wear for name, flank in scene.flanks.items() if flank.wear is not None}
+    usual = scene.wear.coefficient if scene.wear else 0.0
+    of_flank = [own.get(name, usual) if can_wear(scene.laws_on(name)) else 0.0 for name in interface.flanks]
+    return np.array(of_flank)[interface.flank_of_pair]
 
 
 def check_names(scene: Scene, mesh: JointMesh) -> None:
@@ -151,6 +185,33 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
                     f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
                     f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{nearest(name, known)}"
                 )
+
+
+def check_flanks(scene: Scene, interface: Interface) -> None:
+    """Checks that flanks with laws of their own are flanks of the joint.
+
+    Raises:
+        SceneError: Names the flank and the nearest that the joint has.
+    """
+    for name in scene.flanks:
+        if name not in interface.flanks:
+            raise SceneError(
+                f"{scene.where}: flanks.{name}: the joint has no flank of that name, only "
+                f"{', '.join(interface.flanks)}{nearest(name, interface.flanks)}"
+            )
+
+
+def _laws(joint: Contact) -> ContactLaws:
+    known = {*list_parameters("normal", joint.normal), *list_parameters("tangential", joint.tangential)}
+    return ContactLaws(
+        normal=joint.normal,
+        tangential=joint.tangential,
+        friction=joint.friction,
+        normal_force=joint.normal_force if joint.normal == "prescribed" else None,
+        initial_gap=joint.initial_gap,
+        static_friction=joint.static_friction,
+        parameters={name: value for name, value in joint.parameters.items() if name in known},
+    )
 
 
 def _materials(scene: Scene, mesh: JointMesh) -> dict[str, materials.Material]:

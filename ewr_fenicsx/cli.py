@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import EwrError, UnheldBody
 from ewr_fenicsx.scene import Scene, load_scene
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from ewr_fenicsx.chain import Chain
+    from ewr_fenicsx.contact_problem import ContactProblem
+    from ewr_fenicsx.effects import Effect
     from ewr_fenicsx.interface import Interface
 
 # How long a failed rank waits for the others to fail as well before it stops them [s]
@@ -62,6 +64,7 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     run.add_argument("--overwrite", action="store_true", help="replace an earlier result folder")
     info = commands.add_parser("info", help="print what a scene holds, without solving it", allow_abbrev=False)
     info.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
+    info.add_argument("--out", type=Path, metavar="DIR", help="result folder of an earlier run, for its times")
     arguments, rest = parser.parse_known_args(argv)
     if rest and (arguments.command != "run" or not rest[0].startswith("-") or any(a.startswith("--") for a in rest)):
         commands.choices[arguments.command].error(
@@ -72,35 +75,45 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
 
 def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr run``: from the scene to a result folder."""
-    scene = load_scene(arguments.scene)
-    folder = arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
-    from ewr_fenicsx.chain import Stopwatch, build_chain, pose_problem
-    from ewr_fenicsx.newton import solve
+    scene, folder = read_scene(arguments, comm)
+    from ewr_fenicsx.chain import Stopwatch, build_chain
     from ewr_fenicsx.output import list_files, write_results
     from ewr_fenicsx.result_folder import check_target
+    from ewr_fenicsx.study import run_study
 
     check_target(folder, overwrite=arguments.overwrite, comm=comm)
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
-        watch = Stopwatch(progress)
-        with watch.stage("solve"), name_place(scene, chain.interface):
-            solution = solve(pose_problem(scene, chain.reduction.model), tolerance=scene.solver.tolerance)
-        with watch.stage("write"):
-            files = write_results(folder, chain, solution, overwrite=arguments.overwrite)
+        with name_place(scene, chain.interface):
+            study = run_study(chain, progress)
+        with Stopwatch(progress).stage("write"):
+            files = write_results(
+                folder,
+                chain,
+                study.solution,
+                overwrite=arguments.overwrite,
+                seconds=study.seconds,
+                write_more=study.write,
+            )
     if comm.rank == 0:
-        print(solution.summary(), list_files(files), sep="\n\n")
+        print(study.told, list_files(files), sep="\n\n")
     return 0
 
 
 def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr info``: counts and effects, without solving."""
-    scene = load_scene(arguments.scene)
-    from ewr_fenicsx.chain import build_chain
+    scene, folder = read_scene(arguments, comm)
+    from ewr_fenicsx.chain import build_chain, pose_problem
+    from ewr_fenicsx.effects import list_effects
+    from ewr_fenicsx.result_folder import read_times
 
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
     with name_place(scene, chain.interface):
-        counts = count(chain)  # the mesh counts are collective
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        counts = count(chain, problem)  # the mesh counts are collective
+        seconds = read_times(folder, scene.model_dump(mode="json", by_alias=True))
+        effects = list(list_effects(scene, problem, seconds))
     if comm.rank == 0:
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)  # a file has no width to wrap to
         console.print(scene.title or str(arguments.scene), style="bold", markup=False)
@@ -109,21 +122,32 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
             table.add_row(name, value)
         console.print(table)
         console.print()
-        console.print(tabulate_effects(scene))
+        console.print(tabulate_effects(effects))
+        if seconds:
+            stages = ", ".join(f"{stage} {t:.2f} s" for stage, t in seconds.items())
+            console.print(f"last run, {folder}: {stages}; laws share the solve by their unknowns", soft_wrap=True)
     return 0
 
 
-def count(chain: Chain) -> dict[str, str]:
+def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:
+    """The scene, its doubts told on standard error, and the folder of its results."""
+    scene = load_scene(arguments.scene, warn=False)
+    for doubt in scene.doubts if comm.rank == 0 else ():
+        print(f"ewr: warning: {scene.where}: {doubt}", file=sys.stderr, flush=True)
+    return scene, arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
+
+
+def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
     """What a chain holds, name -> figure."""
     from ewr_fenicsx.balance import HarmonicBalance
-    from ewr_fenicsx.chain import pose_problem
+    from ewr_fenicsx.symmetry import leave_out_idle
 
-    scene, reduction, interface = chain.scene, chain.reduction, chain.interface
-    problem = pose_problem(scene, reduction.model)
+    reduction, interface = chain.reduction, chain.interface
     pairs = [f"{flank} {int((interface.flank_of_pair == k).sum())}" for k, flank in enumerate(interface.flanks)]
     quality, modes = chain.mesh.smallest_scaled_jacobian, reduction.fixed_interface_frequencies
     orders = ", ".join(map(str, problem.basis.orders))
-    unknowns = HarmonicBalance(problem.system).size if problem.system.laws else 0
+    system = leave_out_idle(problem).system
+    unknowns = HarmonicBalance(system).size if system.laws else 0
     return {
         "nodes": f"{chain.structure.space.dofmap.index_map.size_global}",
         "cells": f"{chain.mesh.domain.topology.index_map(2).size_global}, smallest scaled Jacobian {quality:.2f}",
@@ -136,11 +160,16 @@ def count(chain: Chain) -> dict[str, str]:
     }
 
 
-def tabulate_effects(scene: Scene) -> Table:
-    """Table of the effects of a scene: on or off, and why."""
+def tabulate_effects(effects: Sequence[Effect]) -> Table:
+    """Table of the effects of a scene: on or off, why, and what each costs."""
     table = Table("effect", "", "why", box=None, pad_edge=False, header_style="bold")
-    for effect in list_effects(scene):
-        table.add_row(effect.name, "on" if effect.on else "off", effect.why, style=None if effect.on else "dim")
+    for header in ("unknowns", "rows", "last run"):
+        table.add_column(header, justify="right")
+    for effect in effects:
+        costs = [str(cost) if cost else "" for cost in (effect.unknowns, effect.rows)]
+        share = "" if effect.share is None else f"{effect.share:.1%}"
+        state = "on" if effect.on else "off"
+        table.add_row(effect.name, state, escape(effect.why), *costs, share, style=None if effect.on else "dim")
     return table
 
 

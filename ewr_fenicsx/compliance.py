@@ -92,10 +92,15 @@ def condense(
     readers = np.vstack([rows, *(model.outputs[name] for name in names)])
     modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
+    uncoupled = find_normal_modes(model) is not None
     for j, h in enumerate(orders):
-        responses[j, :, :m] = receptance(model, h * omega, readers, rows.T, generalised_inverse)
-        if h in load:
-            responses[j, :, m:] = receptance(model, h * omega, readers, load[h][:, None], generalised_inverse)
+        groups = [(0, rows.T)] + ([(m, load[h][:, None])] if h in load else [])
+        if not uncoupled:
+            groups = [(0, np.hstack([forces for _, forces in groups]))]  # one factorisation
+        for first, forces in groups:
+            if np.any(forces):
+                found = receptance(model, h * omega, readers, forces, generalised_inverse)
+                responses[j, :, first : first + forces.shape[1]] = found
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
         motion = readers @ modes
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)

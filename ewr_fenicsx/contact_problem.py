@@ -12,26 +12,18 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense, receptance
-from ewr_fenicsx.contact_laws import (
-    Bond,
-    ContactLaws,
-    Coulomb,
-    Law,
-    Signorini,
-    prescribed_amplitudes,
-    spread_over_pairs,
-)
+from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
+from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, hold
+from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
+from ewr_fenicsx.layout import Layout, demand_rows, lay_out, row_of
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.statics import find_holding
 
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
 DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
-# Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
-MEAN_FRICTION_REGULARISATION = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,46 +113,32 @@ class ContactProblem:
         """``(K_c,)`` initial gap plus wear of each pair, zero where the law knows no gap [m]."""
         gap = np.zeros(self.model.pairs)
         for pairs, laws in self.groups:
-            if laws.normal == "unilateral":
-                gap[pairs] = spread_over_pairs(laws.initial_gap, pairs, gap.size)
+            if laws.kinds[0].opens:
+                gap[pairs] = spread_over_pairs(laws.kinds[0].initial_gap, pairs, gap.size)
                 if self.wear is not None:
                     gap[pairs] += np.asarray(self.wear)[pairs]
         return gap
+
+    @cached_property
+    def opens(self) -> np.ndarray:
+        """``(K_c,)`` which pairs may part."""
+        opens = np.zeros(self.model.pairs, dtype=bool)
+        for pairs, laws in self.groups:
+            opens[pairs] = laws.kinds[0].opens
+        return opens
 
     @cached_property
     def friction(self) -> RealArray:
         """``(K_c,)`` coefficient of friction of each pair, zero where it has none."""
         friction = np.zeros(self.model.pairs)
         for pairs, laws in self.groups:
-            if laws.tangential == "coulomb":
-                friction[pairs] = spread_over_pairs(laws.friction, pairs, friction.size)
+            friction[pairs] = spread_over_pairs(laws.kinds[1].friction, pairs, friction.size)
         return friction
 
     @cached_property
     def system(self) -> ContactSystem:
         """The composed system, built on first use."""
         return compose(self)
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """The rows of a joint, which follow from the kinds of law alone.
-
-    Attributes:
-        model: The model with bonded rows projected out, ``n'`` coordinates.
-        expansion: ``(n, n')`` from its coordinates to those of the problem's model.
-        rows: ``(m, n')`` contact rows that carry an unknown force.
-        index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
-        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out [m/N].
-        mobility: ``(m,)`` inverse inertia of each row where it is all that resists, else zero [1/kg].
-    """
-
-    model: ReducedModel
-    expansion: RealArray
-    rows: RealArray
-    index: Mapping[str, np.ndarray]
-    flexibility: RealArray
-    mobility: RealArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,11 +201,6 @@ class ContactSystem:
         return replace(self, basis=FourierBasis(orders, samples), compliance=compliance)
 
 
-def row_of(index: Mapping[str, np.ndarray], direction: str, pairs: np.ndarray) -> np.ndarray:
-    """Row of each of ``pairs`` in a direction, -1 where it has none."""
-    return index[direction][pairs] if direction in index else np.full(pairs.size, -1)
-
-
 def compose(problem: ContactProblem) -> ContactSystem:
     """Build the system of a problem.
 
@@ -236,13 +209,10 @@ def compose(problem: ContactProblem) -> ContactSystem:
         UnheldBody: Contact cannot hold a floating body under its mean load.
     """
     model, basis = problem.model, problem.basis
-    kinds = tuple((tuple(pairs.tolist()), laws.normal, laws.tangential) for pairs, laws in problem.groups)
-    layout = lay_out(model, kinds)
+    layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
     load, prescribed = dict(problem.loads), {}
     for pairs, laws in problem.groups:
-        if laws.normal != "prescribed":
-            continue
-        for h, amplitude in prescribed_amplitudes(laws, pairs.size).items():
+        for h, amplitude in laws.kinds[0].give_force(pairs.size).items():
             prescribed.setdefault(h, np.zeros(model.pairs, dtype=complex))[pairs] = amplitude
             if model.normal is not None:
                 if h not in basis.orders:
@@ -267,40 +237,6 @@ def compose(problem: ContactProblem) -> ContactSystem:
     )
 
 
-@lru_cache(maxsize=16)
-def lay_out(model: ReducedModel, kinds: tuple[tuple[tuple[int, ...], str, str], ...]) -> Layout:
-    """Rows of a joint from ``(pairs, normal law, tangential law)`` of each group.
-
-    Raises:
-        ModelError: A law needs contact rows that the model lacks, or a row that nothing can move.
-    """
-    held, active = [np.zeros((0, model.size))], {}
-    for pairs, normal, tangential in kinds:
-        pairs = np.array(pairs, dtype=int)
-        slides = tangential == "coulomb"
-        if slides and model.tangents == 2:
-            raise ModelError('tangential = "coulomb" is friction along one line; this model has two tangents a pair')
-        if normal == "unilateral" or (normal == "bonded" and slides):
-            active.setdefault("normal", []).append(pairs)
-        elif normal == "bonded":
-            held.append(model.rows("normal")[pairs])
-        if slides:
-            active.setdefault("tangential", []).append(pairs)
-        elif tangential == "bonded":
-            held += [model.rows(direction)[pairs] for direction in model.tangent_directions]
-    directions = {name: np.sort(np.concatenate(pairs)) for name, pairs in active.items()}
-    rows = np.vstack([np.zeros((0, model.size)), *(model.rows(name)[pairs] for name, pairs in directions.items())])
-    index, start = {}, 0
-    for name, pairs in directions.items():
-        index[name] = np.full(model.pairs, -1)
-        index[name][pairs] = np.arange(start, start + pairs.size)
-        start += pairs.size
-    kept, expansion = hold(model, np.vstack(held))
-    rows = rows @ expansion
-    flexibility, mobility = measure_flexibility(kept, rows)
-    return Layout(kept, expansion, rows, index, flexibility, mobility)
-
-
 def build_laws(
     problem: ContactProblem,
     pairs: np.ndarray,
@@ -310,24 +246,18 @@ def build_laws(
     rubs_to_hold: bool,
 ) -> list[Law]:
     """Law objects of one group of pairs."""
-    built: list[Law] = []
     pick = lambda value: spread_over_pairs(value, pairs, problem.model.pairs)  # noqa: E731
-    normal, tangential = row_of(index, "normal", pairs), row_of(index, "tangential", pairs)
-    if np.all(normal >= 0):
-        stiffness = 1 / flexibility[normal]
-        rho = DEFAULT_NORMAL_WEIGHT * stiffness if problem.rho_normal is None else pick(problem.rho_normal)
-        bonded = laws.normal == "bonded"
-        built.append(Bond(pairs, stiffness) if bonded else Signorini(pairs, problem.clearance[pairs], rho))
-    if laws.tangential == "coulomb":
-        unit = (problem.omega or 1.0) * flexibility[tangential]
-        rho = DEFAULT_TANGENTIAL_WEIGHT * unit if problem.rho_tangential is None else pick(problem.rho_tangential)
-        if laws.static_friction == "zero":
-            built.append(Coulomb(pairs, pick(laws.friction), rho, static_row=0.0, static_force_row=1.0))
+    weights, own = {}, {d: flexibility[rows[pairs]] for d, rows in index.items() if np.all(rows[pairs] >= 0)}
+    for direction in own:
+        if direction == "normal":
+            stiffness = 1 / own[direction]
+            rho = DEFAULT_NORMAL_WEIGHT * stiffness if problem.rho_normal is None else pick(problem.rho_normal)
         else:
-            eps = MEAN_FRICTION_REGULARISATION
-            springs = eps / flexibility[tangential] if rubs_to_hold else 0.0
-            built.append(Coulomb(pairs, pick(laws.friction), rho, 1.0, eps, springs))
-    return built
+            unit = (problem.omega or 1.0) * own[direction]
+            rho = DEFAULT_TANGENTIAL_WEIGHT * unit if problem.rho_tangential is None else pick(problem.rho_tangential)
+        weights[direction] = rho
+    group = PairGroup(pairs, problem.model.pairs, own, weights, problem.clearance[pairs], rubs_to_hold)
+    return [law for kind in laws.kinds for law in kind.build(group)]
 
 
 def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance: DynamicCompliance) -> bool:
@@ -343,15 +273,13 @@ def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance
     for direction, seen in motion.items():
         rows = row_of(layout.index, direction, np.arange(K))
         seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
-    smallest, largest, friction = np.zeros(K), np.full(K, np.inf), problem.friction.copy()
+    smallest, largest, friction, rubs = np.zeros((4, K))
     for pairs, laws in problem.groups:
-        if laws.normal == "bonded":
-            smallest[pairs] = -np.inf
-        elif laws.normal == "prescribed":
-            smallest[pairs] = largest[pairs] = prescribed_amplitudes(laws, pairs.size).get(0, np.zeros(pairs.size)).real
-        if laws.static_friction == "zero":
-            friction[pairs] = 0.0
-    keys = (motion["normal"], motion["tangential"], smallest, largest, friction, compliance.rigid_load)
+        normal, tangential = (k.bound_mean(lambda v, p=pairs: spread_over_pairs(v, p, K)) for k in laws.kinds)
+        smallest[pairs], largest[pairs] = normal.smallest, normal.largest
+        friction[pairs] = tangential.friction
+        rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
+    keys = (motion["normal"], motion["tangential"], smallest, largest, friction, compliance.rigid_load, rubs)
     return _find_holding(*(_Frozen(key) for key in keys)) == "friction"
 
 
@@ -372,25 +300,3 @@ class _Frozen:
 @lru_cache(maxsize=64)
 def _find_holding(*keys: _Frozen) -> str:
     return find_holding(*(key.array for key in keys))
-
-
-def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:
-    """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, zero and the row's mobility [1/kg].
-
-    Raises:
-        ModelError: A row moves with no coordinate of the model.
-    """
-    mobility = np.zeros(rows.shape[0])
-    if rows.shape[0] == 0:
-        return mobility, mobility
-    elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
-    norms = np.linalg.norm(rows, axis=1)
-    if not np.all(norms > 0):
-        raise ModelError(
-            f"contact row {int(np.argmin(norms))} moves with no coordinate: its pair is clamped or bonded already"
-        )
-    rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
-    if np.any(rigid):
-        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], np.linalg.solve(model.mass, rows[rigid].T))
-        elastic[rigid] = 0.0
-    return elastic, mobility

@@ -15,6 +15,7 @@ import numpy as np
 from ewr_fenicsx.compliance import DynamicCompliance
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.law_kinds import Variable
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
@@ -46,6 +47,7 @@ class Equations(Protocol):
 
 # Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
 REDUNDANCY = 1e-13
+BATCH = 1 << 20  # matrix entries of harmonics that are eliminated at a time: few calls on small joints, little memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,18 @@ class Derivative:
 
     rows: np.ndarray  # (K,)
     columns: np.ndarray  # (K,)
-    variable: str  # "force", "displacement" or "velocity"
+    variable: Variable
     values: RealArray  # (n_t, K)
+
+    @property
+    def by_force(self) -> bool:
+        """By a force or its rate, else by a motion."""
+        return self.variable in ("force", "force_rate")
+
+    @property
+    def by_rate(self) -> bool:
+        """By a derivative in time."""
+        return self.variable in ("velocity", "force_rate")
 
 
 def apply_harmonics(basis: FourierBasis, T: RealArray, V: ComplexArray) -> RealArray:
@@ -110,54 +122,65 @@ class Elimination:
         shift: RealArray | None = None,
     ) -> Elimination:
         """Eliminate the rows marked in ``steady`` of J plus a diagonal ``shift`` ``(m,)``; right side ``(n_c, m)``."""
-        compliance, basis = balance.compliance, balance.basis
+        basis = balance.basis
         c, mixed = np.flatnonzero(steady), np.flatnonzero(~steady)
         n_h = len(basis.orders)
         reaction = np.zeros((n_h, c.size, mixed.size), dtype=complex)
         offset, rigid = np.zeros((n_h, c.size), dtype=complex), np.zeros((c.size, balance.rigid))
         if c.size == 0:
             return cls(balance, c, mixed, reaction, offset, rigid)
-        place = np.full(balance.rows, -1)
-        place[c] = np.arange(c.size)
         right = basis.to_amplitudes(load)[:, c]
-        G = balance.rigid_motion
-        for j, h in enumerate(basis.orders):
-            H = compliance.flexibility[j]
-            A, toward_rigid = np.zeros((c.size, balance.rows), dtype=complex), np.zeros((c.size, balance.rigid))
-            for d in derivatives:
-                pick = np.flatnonzero(place[d.rows] >= 0)
-                at, columns, value = place[d.rows[pick]], d.columns[pick], d.values[0, pick]
-                if d.variable == "force":
-                    A[at, columns] += value
-                    continue
-                if d.variable == "velocity":
-                    value = value * balance.rate[j]
-                    if h == 0:
-                        value = value + balance.static_displacement_row[d.rows[pick]]
-                A[at] += value[:, None] * H[columns]
-                A[at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
-                if h == 0:
-                    toward_rigid[at] += value.real[:, None] * G[columns]
-            if h == 0:
-                weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
-                A *= weight[:, None]
-                A[np.arange(c.size), c] += balance.static_force_row[c]
-                toward_rigid *= weight[:, None]
-            if shift is not None:
-                A[np.arange(c.size), c] += shift[c] if h else np.where(balance.static_force_row[c] > 0, 0.0, shift[c])
-            solved = np.linalg.solve(A[:, c], np.column_stack([A[:, mixed], right[j], toward_rigid]))
-            reaction[j], offset[j] = solved[:, : mixed.size], solved[:, mixed.size]
-            if h == 0:
-                rigid[:] = solved[:, mixed.size + 1 :].real
+        step = max(1, BATCH // (c.size * balance.rows))
+        for first in range(0, n_h, step):
+            batch = slice(first, first + step)
+            A, toward_rigid = cls._gather(balance, derivatives, c, shift, batch)
+            known = np.concatenate([A[:, :, mixed], right[batch, :, None], toward_rigid], axis=2)
+            solved = np.linalg.solve(A[:, :, c], known)
+            reaction[batch], offset[batch] = solved[:, :, : mixed.size], solved[:, :, mixed.size]
+            if first == 0:
+                rigid[:] = solved[0, :, mixed.size + 1 :].real
         return cls(balance, c, mixed, reaction, offset, rigid)
 
-    def follow(self, variable: str, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
+    @staticmethod
+    def _gather(
+        balance: Equations, derivatives: Sequence[Derivative], c: np.ndarray, shift: RealArray | None, batch: slice
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Steady rows of J at a batch of harmonics, ``(b, c, m)``, and of the rigid coordinates, ``(b, c, r)``."""
+        H, rate = balance.compliance.flexibility[batch], balance.rate[batch]
+        mean = np.flatnonzero(np.array(balance.basis.orders[batch]) == 0)  # its place in the batch, if it is there
+        A = np.zeros((rate.size, c.size, balance.rows), dtype=complex)
+        toward_rigid = np.zeros((rate.size, c.size, balance.rigid), dtype=complex)
+        place, diagonal = np.full(balance.rows, -1), np.arange(c.size)
+        place[c] = diagonal
+        for d in derivatives:
+            pick = np.flatnonzero(place[d.rows] >= 0)
+            at, columns = place[d.rows[pick]], d.columns[pick]
+            value = np.outer(rate if d.by_rate else np.ones(rate.size), d.values[0, pick])
+            if d.by_force:
+                A[:, at, columns] += value
+                continue
+            if d.by_rate:
+                value[mean] += balance.static_displacement_row[d.rows[pick]]
+            A[:, at] += value[:, :, None] * H[:, columns]
+            A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
+            toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
+        weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
+        A[mean] *= weight[:, None]
+        toward_rigid[mean] *= weight[:, None]
+        A[mean[:, None], diagonal, c] += balance.static_force_row[c]
+        if shift is not None:
+            added = np.tile(shift[c], (rate.size, 1))
+            added[mean] *= balance.static_force_row[c] == 0  # small: a shift would swamp it
+            A[:, diagonal, c] += added
+        return A, toward_rigid
+
+    def follow(self, by_force: bool, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
         """Forces or motions at ``columns`` ``(K,)``: on the mixed forces, by themselves, and on the rigid coordinates.
 
         Returns:
             ``(n_h, K, M)``, ``(n_h, K)`` and ``(K, r)``.
         """
-        if variable == "force":
+        if by_force:
             place = np.searchsorted(self.steady, columns)
             return -self.reaction[:, place], self.offset[:, place], -self.rigid[place]
         H = self.balance.compliance.flexibility[:, columns]

@@ -20,6 +20,10 @@ class SceneError(EwrError):
     """A scene file or one of its values makes no sense."""
 
 
+class SceneWarning(UserWarning):
+    """A scene that can be solved, but that was probably not meant so."""
+
+
 class MeshError(EwrError):
     """A geometry builder or mesh file does not give what the scene asks of it."""
 

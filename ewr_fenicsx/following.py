@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.continuation import BranchPoint, measure_arc, trace_branch
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.newton import solve, wrap
+from ewr_fenicsx.newton import guide, solve, wrap
 from ewr_fenicsx.reduced_model import ComplexArray
 from ewr_fenicsx.snes import Attempt, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
@@ -80,13 +80,8 @@ def solve_from(
         forces = forces + ratio * (forces - earlier.forces)
         motion = motion + ratio * (motion - read_motion(earlier))
         rigid = rigid + ratio * (rigid - earlier.rigid)
-    unknowns = balance.pack(forces, rigid)
-    step = balance.linearise(unknowns, motion)
-    try:
-        unknowns = unknowns - step.solve(step.residual)
-    except np.linalg.LinAlgError:
-        unknowns = balance.pack(latest.forces, latest.rigid)
-    attempt = run_newton(balance, unknowns, tolerance, "elimination", NEWTON_STEPS)
+    attempt = run_newton(balance, guide(balance, forces, motion, rigid), tolerance, "elimination", NEWTON_STEPS)
+    attempt = replace(attempt, iterations=attempt.iterations + 1)
     return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
 
 

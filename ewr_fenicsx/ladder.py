@@ -1,18 +1,25 @@
 """The ladder: cold starts, and the ways to a solution that Newton's method does not find by itself.
 
-1. Growing sets of harmonics from the full-stick solution, each started at the one before: few sets, then many.
-2. On a set where Newton stalls: laws with rounded corners, sharpened step by step.
-3. Then: the oscillating load, traced from a small share to the whole, past folds.
+Each function is one way from the full-stick solution to that of a balance, and returns an ``Attempt`` whose iterations
+are all the Newton steps that the way took:
+
+1. ``climb``: growing sets of harmonics, each started at the one before.
+2. ``walk_weights``: weights of the laws far from the defaults are approached from there.
+3. ``sharpen_corners``: laws with rounded corners, sharpened step by step.
+4. ``climb`` through more sets, and on one where Newton stalls 3., then ``trace_load``: the oscillating load from a
+   small share to the whole, past folds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.continuation import BranchPoint, trace_branch
+from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
@@ -20,42 +27,40 @@ from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails.
 COARSE_LEVELS, FINE_LEVELS = (5, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
 COARSE_TOLERANCE, COARSE_STEPS = 1e-3, 25  # a coarse set is only a start for the next
-FIRST_LOAD_SHARE, BRANCH_POINTS = 0.02, 80  # of the oscillating load, where its tracing starts; points at most
+FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
+BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
 MOST_STEPS = 500  # Newton steps after which no further path is begun
 SHARP, BLUNT = 1e-7, 1e3  # widths of rounded corners, over the mean contact force, that count as sharp and as hopeless
 
+Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
+
 
 def climb(
-    balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver, fallbacks: list[str], trace: bool
-) -> list[Attempt]:
-    """Cold starts: full stick, then growing sets of harmonics, each started at the solution of the one before.
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    levels: tuple[int, ...],
+    rungs: tuple[Rung, ...] = (),
+) -> Attempt:
+    """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
-    First few sets, then many, from the lowest on; with ``trace``, where Newton stalls on a set, it is led there through
-    laws with rounded corners, then by tracing the oscillating load. What did not work is appended to ``fallbacks``.
+    On a set where Newton stalls, ``rungs`` are tried in turn, if the set is small enough for them.
     """
     loaded = [h for h, f in balance.system.load.items() if np.any(f)]
-    attempts: list[Attempt] = []
-    for levels in (FINE_LEVELS,) if trace else (COARSE_LEVELS, FINE_LEVELS):
-        below = None
-        for orders in choose_sets(balance.basis.orders, levels, loaded):
-            last = orders == balance.basis.orders
-            level = balance if last else HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
-            guess = level.full_stick if below is None else embed(below.unpack(attempts[-1].unknowns), below, level)
-            goal, limit = (tolerance, None) if last else (COARSE_TOLERANCE, COARSE_STEPS)
-            attempts.append(run_newton(level, level.pack(*guess), goal, linear_solver, limit))
-            for rung in (sharpen_corners, trace_load) if trace else ():
-                spent = sum(a.iterations for a in attempts)
-                if not attempts[-1].converged and level.size <= LARGEST_TRACED and spent < MOST_STEPS:
-                    attempts[-1] = rung(level, goal, attempts[-1])
-                    fallbacks.append(f"harmonics to {orders[-1]}: {attempts[-1].reason}")
-            below = level
-        if attempts[-1].converged:
-            break
-        if not trace:
-            way = ", ".join(str(s[-1]) for s in choose_sets(balance.basis.orders, levels, loaded))
-            fallbacks.append(f"harmonics to {way}: {attempts[-1].reason}")
-    return attempts
+    below, attempt, steps = None, None, 0
+    for orders in choose_sets(balance.basis.orders, levels, loaded):
+        last = orders == balance.basis.orders
+        level = balance if last else HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
+        guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
+        goal, limit = (tolerance, None) if last else (COARSE_TOLERANCE, COARSE_STEPS)
+        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit)
+        for rung in rungs:
+            if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:
+                attempt = rung(level, goal, attempt)
+        steps += attempt.iterations
+        below = level
+    return replace(attempt, iterations=steps)
 
 
 def choose_sets(orders: tuple[int, ...], levels: tuple[int, ...], loaded: list[int]) -> list[tuple[int, ...]]:
@@ -77,7 +82,7 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
     """From full stick through laws with ever sharper corners to the exact ones.
 
     Returns:
-        The solution, or the better of what was found last and the ``failed`` attempt; all Newton steps counted.
+        The solution, or the better of what was found last and the ``failed`` attempt; the steps of both counted.
     """
     unit = balance.force_unit / np.sqrt(balance.rows)
     unknowns, steps = balance.pack(*balance.full_stick), failed.iterations
@@ -96,17 +101,14 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
             width = reached * ratio
     attempt = run_newton(balance, unknowns, tolerance, "elimination")
     steps += attempt.iterations
-    if attempt.converged:
-        return replace(attempt, iterations=steps, reason=f"{failed.reason}; found through laws with rounded corners")
-    better = min(failed, attempt, key=lambda a: a.residual)
-    return replace(better, iterations=steps, reason=f"{failed.reason}; nor through laws with rounded corners")
+    return _choose(failed, attempt, steps, f"corners as sharp as {reached or np.inf:.0e} of the contact forces")
 
 
 def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """Follow the solution from a small share of the oscillating load to the whole, by arc length, past folds.
+    """Follow the solution from a small share of the oscillating load to the whole.
 
     Returns:
-        The solution, or the better of the branch's last point and the ``failed`` attempt; all Newton steps counted.
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
     """
     compliance = balance.compliance
     oscillates = np.array(balance.basis.orders) > 0
@@ -118,28 +120,66 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
 
     first = at(FIRST_LOAD_SHARE)
     attempt = run_newton(first, first.pack(*first.full_stick), tolerance, "elimination")
-    steps, points = failed.iterations + attempt.iterations, 0
+    counted = replace(failed, iterations=failed.iterations + attempt.iterations)
     if not attempt.converged:
-        reason = f"{failed.reason}, nor a solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load"
-        return replace(failed, iterations=steps, reason=reason)
-    here = BranchPoint(FIRST_LOAD_SHARE, attempt.unknowns, steps)
-    branch, reach = trace_branch(at, here, 1.0, tolerance=tolerance), 0.1
-    while points < BRANCH_POINTS and (point := next(branch, None)) is not None:
-        points += 1
+        return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
+    return follow(at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
+
+
+def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactSystem, found: Attempt) -> Attempt:
+    """Follow the solution from that of a system with other weights of the laws, in equal steps of their logarithms.
+
+    Args:
+        balance: The balance to solve.
+        tolerance: Residual norm accepted.
+        neighbour: The same system but for its laws' weights.
+        found: Its solution, in the same units.
+    """
+    pairs = list(zip(neighbour.laws, balance.system.laws, strict=True))
+
+    def at(share: float) -> HarmonicBalance:
+        laws = tuple(
+            replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
+            for other, law in pairs
+        )
+        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit)
+
+    start = replace(found, residual=np.inf, converged=False)
+    return follow(at, 0.0, found.unknowns, tolerance, start, "of the way from the default weights")
+
+
+def follow(
+    balance_at: BalanceAt, begin: float, unknowns: RealArray, tolerance: float, failed: Attempt, what: str
+) -> Attempt:
+    """Trace a branch by arc length, past folds, from a solution at ``begin`` to a parameter of one.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    goal, here, steps, reach = balance_at(1.0), BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
+    branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
+    for _ in range(BRANCH_POINTS):
+        if (point := next(branch, None)) is None:
+            break
         steps += point.steps
         if point.parameter < 1.0:
             here = point
             continue
         share = (1.0 - here.parameter) / (point.parameter - here.parameter)
         guess = here.unknowns + share * (point.unknowns - here.unknowns)
-        attempt = run_newton(balance, guess, tolerance, "elimination")
+        attempt = run_newton(goal, guess, tolerance, "elimination")
         steps += attempt.iterations
-        if attempt.converged:
-            reason = f"{failed.reason}; found by tracing the oscillating load in {points} points"
-            return replace(attempt, iterations=steps, reason=reason)
-        reach *= 0.3  # the step across the whole load was too long to interpolate in: again, shorter
-        branch = trace_branch(at, here, 1.0, step=reach, tolerance=tolerance)
-    residual = float(np.linalg.norm(balance.residual(here.unknowns)))
-    reason = f"{failed.reason}; the branch was lost or too long at {here.parameter:.0%} of the oscillating load"
-    better = failed if failed.residual <= residual else replace(failed, unknowns=here.unknowns, residual=residual)
-    return replace(better, iterations=steps, reason=reason)
+        looks += 1
+        if attempt.converged or looks > SECOND_LOOKS:
+            return _choose(failed, attempt, steps, f"traced to {here.parameter:.0%} {what} and beyond")
+        reach *= 0.3  # the last step was too long to interpolate in: again, shorter
+        branch = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance)
+    residual = float(np.linalg.norm(goal.residual(here.unknowns)))
+    last = Attempt(here.unknowns, residual, 0, "", residual <= tolerance)
+    return _choose(failed, last, steps, f"the branch was lost or too long at {here.parameter:.0%} {what}")
+
+
+def _choose(failed: Attempt, attempt: Attempt, steps: int, how: str) -> Attempt:
+    """A rung's attempt if it converged, else the better of both; with all Newton steps and how it went."""
+    better = attempt if attempt.converged else min(failed, attempt, key=lambda a: a.residual)
+    return replace(better, iterations=steps, reason=f"{how}: {attempt.reason}" if attempt.reason else how)

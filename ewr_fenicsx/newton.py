@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.ladder import climb
+from ewr_fenicsx.ladder import (
+    COARSE_LEVELS,
+    FINE_LEVELS,
+    LARGEST_TRACED,
+    climb,
+    sharpen_corners,
+    trace_load,
+    walk_weights,
+)
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 
 
 def solve(
@@ -25,10 +36,12 @@ def solve(
 ) -> PeriodicSolution:
     """Periodic solution of a contact problem.
 
-    From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder: from the linear
-    full-stick solution up through growing sets of harmonics, each starting at the one before; where Newton fails at a
-    set, laws with rounded corners that are sharpened step by step, then the oscillating load traced from a small share
-    to the whole, past folds.
+    From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
+    holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
+    from the default weights to those asked for; laws with rounded corners that are sharpened step by step; and both
+    through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds.
+
+    Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
     Args:
         problem: The problem.
@@ -42,26 +55,83 @@ def solve(
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
     begin = time.perf_counter()
+    asked, problem = problem, leave_out_idle(problem, start)
     system = problem.system
-    balance, attempts, fallbacks = None, [], []
+    composed = time.perf_counter()
+    balance, attempts, tried = None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
-        if start is not None:
-            attempts.append(run_newton(balance, prolong(start, balance), tolerance, linear_solver))
-            if not attempts[-1].converged:
-                fallbacks.append(f"given start: {attempts[-1].reason}; cold start instead")
-        for trace in (False, True):
-            if not attempts or not attempts[-1].converged:
-                attempts += climb(balance, tolerance, linear_solver, fallbacks, trace)
-    solution = wrap(problem, balance, attempts, tuple(fallbacks), time.perf_counter() - begin)
+        for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
+            attempts.append(rung())
+            tried.append(f"{name}: {attempts[-1].reason}")
+            if attempts[-1].converged:
+                break
+    fallbacks = tuple(tried) if len(tried) > 1 else ()
+    end = time.perf_counter()
+    solution = include_idle(wrap(problem, balance, attempts, fallbacks, end - begin), asked)
+    iterated = balance is not None and not balance.linear
+    solution = replace(
+        solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
+    )
     if raise_on_failure and not solution.converged:
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
-            f"after {solution.iterations} Newton steps. Tried: {'; '.join(fallbacks)}. "
+            f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}. "
             "Try fewer harmonics, a neighbouring solution as start=, or more damping",
             best=solution,
         )
     return solution
+
+
+def list_rungs(
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    start: PeriodicSolution | None,
+    tolerance: float,
+    linear_solver: LinearSolver,
+) -> Iterator[tuple[str, Callable[[], Attempt]]]:
+    """The ways to a solution, the cheapest first: name and what to call."""
+    if balance.linear:
+        yield "one linear solve", lambda: solve_linear(balance, tolerance)
+        return
+    if start is not None:
+        yield "given start", lambda: go_on_from(start, balance, tolerance, linear_solver)
+    yield "growing harmonics", lambda: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
+    if problem.rho_normal is not None or problem.rho_tangential is not None:
+        yield "from the default weights", lambda: leave_default_weights(problem, balance, tolerance, linear_solver)
+    stick = balance.pack(*balance.full_stick)
+    lost = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "", False)
+    if balance.size <= LARGEST_TRACED:
+        yield "rounded corners", lambda: sharpen_corners(balance, tolerance, lost)
+    rungs = (sharpen_corners, trace_load)
+    yield "more sets of harmonics", lambda: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
+
+
+def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
+    """The solution where no law has a kink or a curve: nothing to iterate on."""
+    unknowns = np.zeros(balance.size)
+    if balance.size:
+        step = balance.linearise(unknowns)
+        try:
+            unknowns = -step.solve(step.residual)
+        except np.linalg.LinAlgError:
+            return Attempt(unknowns, float(np.linalg.norm(step.residual)), 0, "the linear problem is singular", False)
+    residual = float(np.linalg.norm(balance.residual(unknowns)))
+    return Attempt(unknowns, residual, 0, "linear", residual <= tolerance)
+
+
+def leave_default_weights(
+    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+) -> Attempt:
+    """Solve with the default weights, then follow the solution to the problem's own."""
+    usual = replace(problem, rho_normal=None, rho_tangential=None)
+    solution = solve(usual, tolerance=tolerance, linear_solver=linear_solver, raise_on_failure=False)
+    unknowns = balance.pack(solution.forces, solution.rigid)
+    found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
+    if not found.converged:
+        residual = float(np.linalg.norm(balance.residual(unknowns)))
+        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
+    return walk_weights(balance, tolerance, usual.system, found)
 
 
 def wrap(
@@ -111,17 +181,28 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
     return forces, motion, start.rigid if start.rigid.size == balance.rigid else balance.full_stick[1]
 
 
-def prolong(start: PeriodicSolution, balance: HarmonicBalance) -> RealArray:
-    """Unknowns of ``balance`` from the solution of another problem on the same model: one Newton step from its state.
-
-    The laws are linearised at the other solution's forces *and* motions, so that what each pair did there (open, stuck
-    or slipping at every sample) carries over, and the step makes forces and motions fit the new compliance. The forces
-    by themselves would move the pairs anywhere near a resonance.
-    """
+def go_on_from(
+    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+) -> Attempt:
+    """Newton from the solution of another problem on the same model: a guiding step from its state, then as usual."""
     forces, motion, rigid = carry_over(start, balance)
+    unknowns, guided = balance.pack(forces, rigid), 0
+    if np.linalg.norm(balance.residual(unknowns)) > tolerance:
+        unknowns, guided = guide(balance, forces, motion, rigid), 1
+    attempt = run_newton(balance, unknowns, tolerance, linear_solver)
+    return replace(attempt, iterations=attempt.iterations + guided)
+
+
+def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
+    """Unknowns one Newton step from a neighbour's forces and motions, ``(n_h, m)``, and rigid coordinates.
+
+    The laws are linearised at these forces *and* motions, so that what each pair did there (open, stuck or slipping at
+    every sample) carries over, and the step makes the two fit the new compliance. The forces by themselves would move
+    the pairs anywhere near a resonance.
+    """
     unknowns = balance.pack(forces, rigid)
+    step = balance.linearise(unknowns, motion)
     try:
-        step = balance.linearise(unknowns, motion)
         return unknowns - step.solve(step.residual)
     except np.linalg.LinAlgError:
         return unknowns

@@ -11,7 +11,7 @@ import platform
 import resource
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import import_module
@@ -22,11 +22,11 @@ import numpy as np
 
 from ewr_fenicsx import _compat, plots
 from ewr_fenicsx.chain import Chain
-from ewr_fenicsx.contact_state import classify_contact, list_histories
+from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
@@ -50,7 +50,13 @@ RealArray = np.ndarray
 
 
 def write_results(
-    folder: Path, chain: Chain, solution: PeriodicSolution, *, overwrite: bool = False
+    folder: Path,
+    chain: Chain,
+    solution: PeriodicSolution,
+    *,
+    overwrite: bool = False,
+    seconds: Mapping[str, float] | None = None,
+    write_more: Callable[[Path], None] | None = None,
 ) -> tuple[Path, ...]:
     """Writes everything that there is to say of a solution.
 
@@ -59,6 +65,8 @@ def write_results(
         chain: The scene and what was built of it.
         solution: Its periodic solution.
         overwrite: Whether an earlier result folder may be replaced.
+        seconds: Time of the stages after the chain; None: that of the one solve.
+        write_more: Writes further files into the folder it is given; called on every rank.
 
     Returns:
         The files written, in ``folder``. The same on every rank.
@@ -71,6 +79,8 @@ def write_results(
         write_fields(draft, chain, solution)
         plots.draw_mesh(draft / "mesh.png", chain)
         plots.draw_mode(draft / "full_stick_mode.png", chain)
+        if write_more:
+            write_more(draft)
         memory = comm.gather(measure_memory(), root=0)
         if comm.rank == 0:
             plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
@@ -79,6 +89,7 @@ def write_results(
             write_pairs(draft / "pairs.csv", chain.interface, solution)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
             summary = summarise(chain, solution) | {"peak_memory_MB": memory, "files": files}
+            summary["seconds"] = dict(chain.seconds) | dict(seconds or {"solve": solution.seconds})
             summary["seconds"]["write"] = time.perf_counter() - start
             (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return tuple(
@@ -104,7 +115,9 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution, steps: 
         steps: Equidistant instants ``k T / steps``; the end of the period, its beginning again, is left out.
     """
     domain, interface = chain.mesh.domain, chain.interface
-    times = np.arange(steps) / (steps * solution.problem.frequency)
+    if not np.any(solution.coordinates[np.array(solution.orders) > 0]):
+        steps = 1  # at rest
+    times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
     coordinates = (phase @ solution.coordinates).real
     to_vertices = vertex_interpolation(chain.structure.space, (2,))
@@ -136,7 +149,14 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
     ):
         if history in list_histories(solution):
             fields[name] = solution.history(history, samples) / divisor
-    return fields | {"contact_state": classify_contact(solution, samples).astype(float)}
+    for name in list_histories(solution):
+        if name not in HISTORIES:  # a law of the user's own
+            fields[name] = solution.history(name, samples)
+    if solution.problem.wear is not None:
+        fields["worn_depth"] = np.tile(solution.problem.wear, (samples, 1))
+    if changes_state(solution):
+        fields["contact_state"] = classify_contact(solution, samples).astype(float)
+    return fields
 
 
 def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
@@ -161,7 +181,7 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[Rea
 def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
     """Writes one row a pair: where it is, and its figures over the period."""
     histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
-    state = classify_contact(solution, SAMPLES)
+    state = classify_contact(solution, SAMPLES) if changes_state(solution) else None
     columns: dict[str, RealArray] = {
         "x [m]": interface.position[:, 0],
         "y [m]": interface.position[:, 1],
@@ -174,10 +194,15 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
             for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
                 columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
     if "slip_velocity" in histories:
-        columns["sliding_distance [m/cycle]"] = (
-            np.abs(histories["slip_velocity"]).mean(axis=0) / solution.problem.frequency
+        columns["sliding_distance [m/cycle]"] = np.abs(histories["slip_velocity"]).mean(axis=0) / (
+            solution.problem.frequency or 1.0
         )
-    for code, name in enumerate(("open", "stick", "slip")):
+    if solution.problem.wear is not None:
+        columns["worn_depth [m]"] = solution.problem.wear
+    for name in histories:
+        if name not in HISTORIES:  # a law of the user's own, in its own unit
+            columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
+    for code, name in enumerate(("open", "stick", "slip") if changes_state(solution) else ()):
         columns[f"{name}_share"] = (state == code).mean(axis=0)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -191,7 +216,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
     reduction, model = chain.reduction, chain.reduction.model
     index_map = chain.structure.space.dofmap.index_map
     return {
-        "scene": chain.scene.model_dump(mode="json"),
+        "scene": chain.scene.model_dump(mode="json", by_alias=True),
         "solution": {
             "converged": solution.converged,
             "reason": str(solution.reason),
@@ -202,7 +227,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "frequency_Hz": solution.problem.frequency,
             "harmonics": list(solution.orders),
             "outputs": {name: _list_amplitudes(solution, name) for name in model.outputs},
-            "merit": {name: float(value) for name, value in solution.merit.items()},
+            "merit": {name: float(solution.merit[name]) for name in list_figures(solution)},
         },
         "model": {
             "nodes": index_map.size_global,
@@ -213,7 +238,6 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "full_stick_frequencies_Hz": np.asarray(reduction.full_stick.frequency).tolist(),
             "fixed_interface_frequencies_Hz": np.asarray(reduction.fixed_interface_frequencies).tolist(),
         },
-        "seconds": dict(chain.seconds) | {"solve": solution.seconds},
         "ranks": chain.mesh.domain.comm.size,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "system": platform.platform(),

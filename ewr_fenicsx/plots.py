@@ -6,6 +6,7 @@ draws; the other ranks only take part in the gathering.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import dolfinx
@@ -213,6 +214,18 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     figure.savefig(path, dpi=DPI)
 
 
+def draw_curves(path: Path, across: str, x: RealArray, series: Mapping[str, RealArray]) -> None:
+    """Some figures along a sweep or over cycles, one line each."""
+    figure = Figure(figsize=(7.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for k, (name, values) in enumerate(series.items()):
+        axes.plot(x, values, ".-", color=FLANK_COLOURS[k % len(FLANK_COLOURS)], linewidth=1.2, label=name)
+    axes.set_xlabel(across)
+    axes.set_ylim(bottom=0.0)
+    axes.legend()
+    figure.savefig(path, dpi=DPI)
+
+
 _COLOURS = ScalarMappable(Normalize(0.0, 1.0), "viridis")
 
 
@@ -225,7 +238,7 @@ def _caption(solution: PeriodicSolution) -> str:
     orders = solution.orders
     gapless = orders == tuple(range(orders[0], orders[-1] + 1))
     kept = f"{orders[0]} to {orders[-1]}" if gapless else ", ".join(map(str, orders))
-    return f"{solution.problem.frequency:g} Hz, harmonics {kept}"
+    return f"{solution.problem.frequency:g} Hz, harmonics {kept}" if any(orders) else "at rest"
 
 
 def _place_key(figure: Figure, grid: np.ndarray) -> None:
@@ -265,5 +278,10 @@ def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
             },
         )
         axes.plot(*(start + 1.1 * step), alpha=0)  # makes room for the arrow
-        time = f" at {load.harmonic * scene.excitation.frequency:g} Hz" if pulsating else ", static"
+        time = f" at {_say_frequency(scene, load.harmonic)} Hz" if pulsating else ", static"
         axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:g} N{time}")
+
+
+def _say_frequency(scene, harmonic: int) -> str:
+    ends = sorted({min(scene.frequencies), max(scene.frequencies)})
+    return " to ".join(f"{harmonic * end:g}" for end in ends)

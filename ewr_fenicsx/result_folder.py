@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -46,6 +46,15 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
+
+
+def read_times(folder: Path, scene: Mapping) -> dict[str, float] | None:
+    """Seconds by stage of the run that filled a folder; None where there is none, or it was one of another scene."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        return dict(summary["seconds"]) if summary["scene"] == scene else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:

@@ -8,62 +8,19 @@ Nothing here imports dolfinx: a wrong scene is refused within a moment.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
-from functools import reduce
-from operator import or_
+import warnings
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Discriminator,
-    Field,
-    FiniteFloat,
-    PrivateAttr,
-    Strict,
-    Tag,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from ewr_fenicsx.errors import SceneError, nearest
-from ewr_fenicsx.scene_errors import explain_mistakes, name_scene
-
-Number = Annotated[FiniteFloat, Strict()]  # strict: "0.2" and true are mistakes, not numbers
-Integer = Annotated[int, Strict()]
-Positive = Annotated[Number, Field(gt=0)]
-Ratio = Annotated[Number, Field(ge=0, lt=1)]
-Vector = tuple[Number, Number]
-
-
-def entry(default: Any, unit: str, description: str, **limits: Any) -> Any:
-    """A field with a unit; ``...`` as default makes it required."""
-    return Field(default, description=description, json_schema_extra={"unit": unit}, validate_default=True, **limits)
-
-
-def section(kind: Any, description: str) -> Any:
-    """A field that holds a table of its own, with that table's defaults."""
-    return Field(default_factory=kind, description=description)
-
-
-class Section(BaseModel):
-    """A table of the scene: frozen, and unknown keys are errors that name the nearest known one."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def refuse_unknown_keys(cls, data: Any) -> Any:
-        if isinstance(data, Mapping):
-            for key in data:
-                if key not in cls.model_fields:
-                    hint = nearest(key, cls.model_fields) or "; known keys: " + ", ".join(cls.model_fields)
-                    raise PydanticCustomError("unknown_key", "unknown key{hint}", {"key": str(key), "hint": hint})
-        return data
+from ewr_fenicsx.errors import SceneError, SceneWarning
+from ewr_fenicsx.scene_entries import Integer, Number, Positive, Ratio, Section, Vector, choose_form, entry, section
+from ewr_fenicsx.scene_errors import explain_mistakes, list_mistakes, name_scene
+from ewr_fenicsx.scene_joint import Contact, Flank
+from ewr_fenicsx.scene_sense import find_contradictions, find_doubts
 
 
 class Geometry(Section):
@@ -172,19 +129,8 @@ class RotationLoad(Section):
         return 0
 
 
-def _choice(*forms: tuple[str, type[Section]]) -> Any:
-    """Alternative forms of a table, told apart by its key ``kind``; the first is meant where ``kind`` is left out."""
-    usual = forms[0][0]
-    # the tags must not look like keys: pydantic mixes them into the path of an error
-    tag = lambda data: f"kind={data.get('kind', usual) if isinstance(data, Mapping) else getattr(data, 'kind', usual)}"  # noqa: E731
-    known = " or ".join(f'"{kind}"' for kind, _ in forms)
-    tagged = tuple(Annotated[form, Tag(f"kind={kind}")] for kind, form in forms)
-    discriminator = Discriminator(tag, custom_error_type="kind", custom_error_message=f"should be {known}")
-    return Annotated[reduce(or_, tagged), discriminator]
-
-
-Damping = _choice(("ratios", RatioDamping), ("rayleigh", RayleighDamping), ("modal", ModalDamping))
-Load = _choice(("force", ForceLoad), ("rotation", RotationLoad))
+Damping = choose_form(("ratios", RatioDamping), ("rayleigh", RayleighDamping), ("modal", ModalDamping))
+Load = choose_form(("force", ForceLoad), ("rotation", RotationLoad))
 
 
 class Output(Section):
@@ -201,56 +147,60 @@ class Output(Section):
         return direction
 
 
-class Contact(Section):
-    """The joint between two bodies and its laws."""
-
-    body_a: str = entry("blade", "-", "The body whose outward normal counts.")
-    body_b: str = entry("disk", "-", "The body it rests on.")
-    flanks: tuple[str, ...] | None = entry(None, "-", "Boundaries in contact; by default all that both bodies share.")
-    normal: Literal["unilateral", "bonded", "prescribed"] = entry(
-        "unilateral", "-", "Normal law: contact with separation, no relative motion, or a given normal force."
-    )
-    tangential: Literal["coulomb", "frictionless", "bonded"] = entry("coulomb", "-", "Tangential law.")
-    friction: Number = entry(0.2, "-", "Coefficient of friction, for the law `coulomb`.", ge=0)
-    static_friction: Literal["resolved", "zero"] = entry(
-        "resolved", "-", "Mean friction force: solved for, or set to zero as in the paper."
-    )
-    initial_gap: Number = entry(0.0, "m", "Initial clearance of every pair.", ge=0)
-    normal_force: Number | None = entry(None, "N", "Normal force of every pair, for the law `prescribed`.", ge=0)
-    pair_tolerance: Number = entry(
-        1e-6, "-", "Largest distance of two paired nodes, relative to the flank's length.", gt=0
-    )
-
-    @model_validator(mode="after")
-    def check_laws(self) -> Contact:
-        if self.body_a == self.body_b:
-            raise PydanticCustomError("bodies", "body_a and body_b should differ; a body has no contact with itself")
-        if self.normal == "prescribed" and self.normal_force is None:
-            raise PydanticCustomError("laws", 'normal = "prescribed" needs normal_force [N], the force of every pair')
-        for key, law, value in (
-            ("normal_force", "normal", "prescribed"),
-            ("initial_gap", "normal", "unilateral"),
-            ("friction", "tangential", "coulomb"),
-            ("static_friction", "tangential", "coulomb"),
-        ):
-            if key in self.model_fields_set and getattr(self, key) is not None and getattr(self, law) != value:
-                context = {"key": key, "law": law, "found": getattr(self, law), "value": value}
-                raise PydanticCustomError(
-                    "laws", '{key} does nothing with {law} = "{found}"; remove it, or set {law} = "{value}"', context
-                )
-        return self
-
-
 class Reduction(Section):
     """Component mode synthesis."""
 
     modes: Integer = entry(30, "-", "Fixed-interface modes kept.", ge=1)
 
 
-class Excitation(Section):
-    """What repeats."""
+class FrequencyRange(Section):
+    """Frequencies at equal distances, both ends included."""
 
-    frequency: Number = entry(..., "Hz", "Frequency of harmonic 1.", gt=0)
+    from_: Positive = entry(..., "Hz", "Where the sweep begins.", alias="from")
+    to: Positive = entry(..., "Hz", "Where it ends.")
+    points: Integer = entry(..., "-", "Number of frequencies.", ge=2)
+
+    @model_validator(mode="after")
+    def check_extent(self) -> FrequencyRange:
+        if self.from_ == self.to:
+            raise PydanticCustomError(
+                "range", "a sweep over one point; write frequency = {at}", {"at": format(self.from_, "g")}
+            )
+        if self.from_ > self.to:
+            raise PydanticCustomError("range", "from should be below to; curves are followed past folds either way")
+        return self
+
+
+class Excitation(Section):
+    """What repeats. Only a scene without an oscillating load does without a frequency."""
+
+    frequency: Positive | tuple[Positive, ...] | FrequencyRange | None = entry(
+        None, "Hz", "Frequency of harmonic 1; a list, or a table `from`, `to`, `points`, is a sweep."
+    )
+
+    @field_validator("frequency")
+    @classmethod
+    def check_frequency(cls, frequency: Any) -> Any:
+        if isinstance(frequency, tuple):
+            if len(frequency) < 2:
+                at = f"{frequency[0]:g}" if frequency else "..."
+                raise PydanticCustomError("sweep", "a sweep over one point; write frequency = {at}", {"at": at})
+            if any(a >= b for a, b in pairwise(frequency)):
+                raise PydanticCustomError("sweep", "should be frequencies that rise")
+        return frequency
+
+
+class Wear(Section):
+    """Fretting wear over many cycles (Archard): the gap grows by `coefficient` x pressure x sliding distance."""
+
+    coefficient: Number = entry(1e-11, "1/Pa", "Wear coefficient of every flank that can wear.", ge=0)
+    cycles: Integer = entry(3000, "-", "Cycles of the excitation to follow.", ge=1)
+    tolerance: Number | None = entry(
+        None,
+        "-",
+        "Largest error of a cycle jump as a share of the final depth; by default every cycle is solved.",
+        gt=0,
+    )
 
 
 class Solver(Section):
@@ -296,8 +246,10 @@ class Scene(Section):
     loads: dict[str, Load] = Field(min_length=1, description="Loads by name.")
     outputs: dict[str, Output] = Field({}, description="Displacements to follow, by name.")
     contact: Contact = section(Contact, "The joint and its laws.")
+    flanks: dict[str, Flank] = Field({}, description="Laws of single flanks where they differ, by name of the flank.")
     reduction: Reduction = section(Reduction, "Component mode synthesis.")
-    excitation: Excitation = Field(description="What repeats.")
+    excitation: Excitation = section(Excitation, "What repeats.")
+    wear: Wear | None = Field(None, description="Fretting wear; none where this table is missing.")
     solver: Solver = section(Solver, "Harmonic balance and its nonlinear solve.")
     _file: Path | None = PrivateAttr(None)
 
@@ -306,6 +258,27 @@ class Scene(Section):
         """Harmonics of the solution, rising."""
         chosen = self.solver.harmonics
         return tuple(range(chosen + 1)) if isinstance(chosen, int) else tuple(sorted(chosen))
+
+    @property
+    def frequencies(self) -> tuple[float, ...]:
+        """Frequencies to solve at [Hz]: one, those of a sweep, or none where nothing oscillates."""
+        asked = self.excitation.frequency
+        if asked is None or isinstance(asked, tuple):
+            return asked or ()
+        if isinstance(asked, FrequencyRange):
+            step = (asked.to - asked.from_) / (asked.points - 1)
+            return (*(asked.from_ + k * step for k in range(asked.points - 1)), asked.to)
+        return (asked,)
+
+    def laws_on(self, flank: str) -> Contact:
+        """The joint's entries as they hold on one flank."""
+        own = self.flanks.get(flank)
+        return self.contact if own is None else self.contact.model_copy(update=own.laws)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is allowed but probably not meant, one sentence each."""
+        return tuple(find_doubts(self))
 
     @property
     def where(self) -> str:
@@ -320,21 +293,18 @@ class Scene(Section):
             scene = handler(data)
         except ValidationError as error:
             raise SceneError(explain_mistakes(error, data, file, cls.model_fields)) from None
-        for name, load in scene.loads.items():
-            if load.harmonic not in scene.harmonics:
-                raise SceneError(
-                    f"{name_scene(file)}: solver.harmonics = {list(scene.harmonics)} leave out harmonic "
-                    f'{load.harmonic}, at which the load "{name}" acts; include it'
-                )
+        if contradictions := list(find_contradictions(scene)):
+            raise SceneError(list_mistakes(contradictions, file))
         scene._file = file
         return scene
 
 
-def load_scene(path: str | Path) -> Scene:
+def load_scene(path: str | Path, *, warn: bool = True) -> Scene:
     """Reads and checks a scene file.
 
     Args:
         path: TOML file. Paths inside it are relative to its folder.
+        warn: Whether what was probably not meant is told as a ``SceneWarning``; it is in ``Scene.doubts`` either way.
 
     Raises:
         SceneError: The file cannot be read, is not TOML, or does not describe a scene.
@@ -346,4 +316,7 @@ def load_scene(path: str | Path) -> Scene:
         raise SceneError(f"scene {path}: cannot be read: {error.strerror}; give the path of a .toml file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"scene {path}: not valid TOML: {error}") from None
-    return Scene.model_validate(data, context={"file": path, "folder": path.resolve().parent})
+    scene = Scene.model_validate(data, context={"file": path, "folder": path.resolve().parent})
+    for doubt in scene.doubts if warn else ():
+        warnings.warn(f"{scene.where}: {doubt}", SceneWarning, stacklevel=2)
+    return scene

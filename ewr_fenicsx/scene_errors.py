@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,13 @@ def explain_mistakes(error: ValidationError, data: Any, file: Path | None, secti
     for detail in error.errors(include_url=False):
         key, message = _explain_one(detail, data, sections)
         mistakes.setdefault(key, []).append(message)
-    lines = [f"{key}: " * bool(key) + ", or ".join(messages) for key, messages in mistakes.items()]
-    return (
-        f"{name_scene(file)}: {lines[0]}"
-        if len(lines) == 1
-        else "\n  ".join([f"{name_scene(file)}: {len(lines)} mistakes", *lines])
-    )
+    return list_mistakes([f"{key}: " * bool(key) + ", or ".join(messages) for key, messages in mistakes.items()], file)
+
+
+def list_mistakes(lines: Sequence[str], file: Path | None) -> str:
+    """One message of one or several mistakes."""
+    where = name_scene(file)
+    return f"{where}: {lines[0]}" if len(lines) == 1 else "\n  ".join([f"{where}: {len(lines)} mistakes", *lines])
 
 
 def name_scene(file: Path | None) -> str:

@@ -47,39 +47,20 @@ def run_newton(
     snes = PETSc.SNES().create(comm)
     snes.setOptionsPrefix("ewr_")
     x, r = PETSc.Vec().createSeq(balance.size, comm=comm), PETSc.Vec().createSeq(balance.size, comm=comm)
-
-    first = float(np.linalg.norm(balance.residual(start)))
-
-    def evaluate(snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        r.array[:] = balance.residual(x.array_r)
-
-    snes.setFunction(evaluate, r)
+    equations = _Equations(balance, first=float(np.linalg.norm(balance.residual(start))))
     ksp = snes.getKSP()
     ksp.setType(PETSc.KSP.Type.PREONLY)
     pc = ksp.getPC()
     if linear_solver == "dense":
         matrix = PETSc.Mat().createDense((balance.size, balance.size), comm=comm)
-        matrix.setUp()
-
-        def linearise(snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-            step = balance.linearise(x.array_r)
-            P.getDenseArray()[:] = step.matrix(choose_shift(step, first))
-            P.assemble()
-
-        snes.setJacobian(linearise, matrix)
         pc.setType(PETSc.PC.Type.LU)
     else:
-        shell = _Linearised()
-        matrix = PETSc.Mat().createPython((balance.size, balance.size), context=shell, comm=comm)
-        matrix.setUp()
-
-        def linearise(snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-            shell.step = balance.linearise(x.array_r)
-            shell.shift = choose_shift(shell.step, first)
-
-        snes.setJacobian(linearise, matrix)
+        matrix = PETSc.Mat().createPython((balance.size, balance.size), context=equations, comm=comm)
         pc.setType(PETSc.PC.Type.PYTHON)
-        pc.setPythonContext(shell)
+        pc.setPythonContext(equations)
+    matrix.setUp()
+    snes.setFunction(equations.evaluate, r)
+    snes.setJacobian(equations.linearise, matrix)
     snes.setType(PETSc.SNES.Type.PYTHON)
     snes.setPythonContext(_HalvedNewton())
     snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
@@ -149,10 +130,22 @@ class _HalvedNewton:
             norm = found
 
 
-class _Linearised:
-    """The current Newton step as a PETSc matrix and as its exact preconditioner."""
+class _Equations:
+    """The balance as PETSc sees it: residual, Jacobian as a matrix or as an operator, and that one's exact inverse."""
 
-    step, shift = None, 0.0
+    def __init__(self, balance: HarmonicBalance, first: float):
+        self.balance, self.first = balance, first
+        self.step, self.shift = None, 0.0
+
+    def evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
+        r.array[:] = self.balance.residual(x.array_r)
+
+    def linearise(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.step = self.balance.linearise(x.array_r)
+        self.shift = choose_shift(self.step, self.first)
+        if P.getType() != PETSc.Mat.Type.PYTHON:
+            P.getDenseArray()[:] = self.step.matrix(self.shift)
+            P.assemble()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         y.array[:] = self.step.multiply(x.array_r)

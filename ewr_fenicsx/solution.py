@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,9 @@ class PeriodicSolution:
         residual: Norm of the weighted residual over the natural force.
         seconds: Wall time of the solve.
         unknowns: Number of unknowns given to Newton, 0 for a linear problem.
+        stages: Wall time of the solve by stage [s].
+        left_out: Harmonics at which the contact forces are zero by symmetry, so that the solve did without.
+        why_left_out: By which symmetry.
     """
 
     problem: ContactProblem
@@ -46,6 +49,9 @@ class PeriodicSolution:
     residual: float
     seconds: float
     unknowns: int
+    stages: Mapping[str, float] = field(default_factory=dict, repr=False)
+    left_out: tuple[int, ...] = ()
+    why_left_out: str = ""
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -85,20 +91,28 @@ class PeriodicSolution:
             amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
         return amplitudes @ system.expansion.T
 
+    @cached_property
+    def histories(self) -> tuple[str, ...]:
+        """Names that ``history`` knows: the usual ones, and what the laws report besides."""
+        reported = [name for _, laws in self.problem.groups for kind in laws.kinds for name in kind.histories]
+        return tuple(dict.fromkeys([*HISTORIES, *reported]))
+
     def history(self, name: str, samples: int = 1024) -> RealArray:
         """A quantity of every pair over one period, ``(samples, K_c)``.
 
         Args:
             name: ``"normal_force"``, ``"friction_force"`` (as truncated), ``"admissible_friction_force"`` (in the cone)
                 [N];
-                ``"gap"`` (initial gap included), ``"slip"`` [m]; ``"slip_velocity"`` [m/s].
+                ``"gap"`` (initial gap included), ``"slip"`` [m]; ``"slip_velocity"`` [m/s]; or what a law of your own
+                reports, zero at other pairs.
             samples: Samples a period.
 
         Raises:
             ModelError: An unknown name.
         """
-        if name not in HISTORIES:
-            raise ModelError(f'no history "{name}"; choose one of {", ".join(HISTORIES)}{nearest(name, HISTORIES)}')
+        if name not in self.histories:
+            known = self.histories
+            raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
         model, basis = self.problem.model, FourierBasis(self.orders, samples)
         omega = self.problem.omega * np.array(self.orders)[:, None]
         if name in ("normal_force", "friction_force"):
@@ -119,11 +133,12 @@ class PeriodicSolution:
                 return np.zeros((samples, model.pairs))
             slip = self.coordinates @ model.rows("tangential").T
             return basis.synthesise(slip if name == "slip" else 1j * omega * slip)
-        admissible = self.history("friction_force", samples)
+        admissible = name == "admissible_friction_force"
+        reported = self.history("friction_force", samples) if admissible else np.zeros((samples, model.pairs))
         for law, fields in self.law_fields(basis):
             if name in fields:
-                admissible[:, law.pairs] = fields[name]
-        return admissible
+                reported[:, law.pairs] = fields[name]
+        return reported
 
     def law_fields(self, basis: FourierBasis) -> list[tuple]:
         """What each law reports besides its force, at the samples of ``basis``: ``(law, name -> (n_t, K))``."""
@@ -146,7 +161,7 @@ class PeriodicSolution:
                 rows = system.row_of(direction, pairs)
                 if np.all(rows >= 0):
                     found[direction][:, pairs] = self.forces[:, rows]
-                elif (laws.normal if direction == "normal" else laws.tangential) == "bonded":
+                elif any(direction in kind.holds(model.tangents) for kind in laws.kinds):
                     held.append((direction, pairs))
         for h, amplitude in system.prescribed.items():
             if h in self.orders:
@@ -186,16 +201,14 @@ class PeriodicSolution:
         loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
         viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
         sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
-        friction = problem.friction
-        unilateral = np.zeros(model.pairs, dtype=bool)
-        for pairs, laws in problem.groups:
-            unilateral[pairs] = laws.normal == "unilateral"
+        friction, unilateral = problem.friction, problem.opens
         slides = friction > 0
+        rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
         work = indicators.measure_work(loads, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        rubbed = -period * np.sum(
-            np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[slides]
+        rubbed = 0.0 - period * np.sum(
+            np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[rubs]
         )
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
@@ -219,10 +232,15 @@ class PeriodicSolution:
     def summary(self) -> str:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
+        where = "at rest"
+        if self.orders[-1]:
+            where = f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}"
         lines = [
-            f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}: {state} in "
+            f"{where}: {state} in "
             f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
             f"{self.seconds:.2f} s"
         ]
+        if self.left_out:
+            lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  fallback: {rung}" for rung in self.fallbacks]
         return "\n".join(lines)

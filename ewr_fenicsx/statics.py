@@ -20,10 +20,11 @@ def find_holding(
     largest: RealArray,
     friction: RealArray,
     rigid_load: RealArray,
+    limit: RealArray | None = None,
 ) -> Literal["normal", "friction"]:
     """What holds the floating bodies: normal forces alone, or friction as well.
 
-    A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N`` for the smallest unbalanced load.
+    A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
 
     Args:
         normal_motion: ``(K, r)`` motion of the normal rows by the rigid modes.
@@ -32,6 +33,7 @@ def find_holding(
         largest: ``(K,)`` largest mean normal force: inf, or what is given [N].
         friction: ``(K,)`` coefficients of friction, zero where a pair has none.
         rigid_load: ``(r,)`` work of the mean load on the rigid modes [N].
+        limit: ``(K,)`` tangential force that a pair carries whatever its normal force [N]; None: none.
 
     Raises:
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens most.
@@ -39,10 +41,12 @@ def find_holding(
     r = rigid_load.size
     sees_all = np.linalg.matrix_rank(normal_motion, tol=1e-9 * np.abs(normal_motion).max(initial=1e-300)) == r
     bounds = list(zip(smallest, largest, strict=True))
-    if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, 0 * friction, rigid_load)[0] <= _BALANCED:
+    limit = 0 * friction if limit is None else limit
+    nothing = 0 * friction
+    if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
         return "normal"
-    rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, rigid_load)
-    rubs = friction > 0
+    rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
+    rubs = (friction > 0) | (limit > 0)
     seen = np.vstack([normal_motion, tangential_motion[rubs]])
     if np.linalg.matrix_rank(seen, tol=1e-9 * np.abs(seen).max(initial=1e-300)) < r:
         free = np.linalg.svd(seen)[2][-1]
@@ -65,14 +69,19 @@ def find_holding(
 
 
 def _unbalanced(
-    normal_motion: RealArray, tangential_motion: RealArray, bounds: list, friction: RealArray, rigid_load: RealArray
+    normal_motion: RealArray,
+    tangential_motion: RealArray,
+    bounds: list,
+    friction: RealArray,
+    limit: RealArray,
+    rigid_load: RealArray,
 ) -> tuple[float, RealArray]:
     """Smallest unbalanced share of the mean load, and the rigid motion that it drives ``(r,)``."""
     size, r = np.abs(rigid_load).max(initial=0.0), rigid_load.size
     if size == 0:
         return 0.0, np.zeros(r)
     k = friction.size
-    rubs = np.flatnonzero(friction > 0)
+    rubs = np.flatnonzero((friction > 0) | (limit > 0))
     # unknowns: lam_N (k), lam_T (rubbing), t >= |unbalanced|
     forces = np.hstack([normal_motion.T, tangential_motion[rubs].T])
     cone = np.zeros((2 * rubs.size, k + rubs.size))
@@ -84,7 +93,7 @@ def _unbalanced(
     upper = np.vstack(
         [np.hstack([forces, column]), np.hstack([-forces, column]), np.hstack([cone, np.zeros((len(cone), 1))])]
     )
-    bound = np.concatenate([-rigid_load / size, rigid_load / size, np.zeros(len(cone))])
+    bound = np.concatenate([-rigid_load / size, rigid_load / size, np.tile(limit[rubs] / size, 2)])
     bounds = [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * rubs.size + [(0, np.inf)]
     cost = np.zeros(k + rubs.size + 1)
     cost[-1] = 1.0

@@ -25,13 +25,14 @@ from functools import cache, cached_property
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.contact_laws import spread_over_pairs
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import sample_amplitudes
+from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
+_KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
 _DIAGONAL = 1e-9  # modal damping counts as diagonal up to this share of the geometric mean of the diagonal entries
 
 
@@ -128,11 +129,13 @@ class TimeScheme:
         self.given_limit = np.zeros((self.steps, m))
         order = []
         for pairs, laws in problem.groups:
+            for side, known in _KNOWN.items():
+                if (name := getattr(laws, side)) not in known:
+                    raise ModelError(f'{side} = "{name}": time integration knows only {", ".join(known)}; use solve')
             normal, tangential = system.row_of("normal", pairs), system.row_of("tangential", pairs)
             if np.all(normal >= 0):
                 self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
-                if laws.normal == "unilateral":
-                    self.pair_gap[pairs] = self.initial_gap[normal] = spread_over_pairs(laws.initial_gap, pairs, total)
+                self.pair_gap[pairs] = self.initial_gap[normal] = problem.clearance[pairs]
             if laws.tangential == "coulomb":
                 self.kind[tangential] = FRICTION
                 self.partner[tangential] = normal

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import gmsh
 
@@ -64,6 +65,35 @@ class Body:
         gmsh.model.geo.mesh.setTransfiniteSurface(surface, cornerTags=[self.point(corner) for corner in corners])
         gmsh.model.geo.mesh.setRecombine(2, surface)
         self.surfaces.append(surface)
+
+    def grid(self, xs: Sequence[float], ys: Sequence[float], across: Sequence[int], along: Sequence[int]) -> Edges:
+        """Fill a rectangle with a grid of rectangular blocks.
+
+        Args:
+            xs: Rising positions of the vertical lines [m].
+            ys: Rising positions of the horizontal lines [m].
+            across: Cells in x between each two of ``xs``.
+            along: Cells in y between each two of ``ys``.
+
+        Returns:
+            Tags of the curves on the rectangle's four edges.
+        """
+        level = lambda j: [self.curve((xs[i], ys[j]), (xs[i + 1], ys[j]), n) for i, n in enumerate(across)]  # noqa: E731
+        upright = lambda i: [self.curve((xs[i], ys[j]), (xs[i], ys[j + 1]), n) for j, n in enumerate(along)]  # noqa: E731
+        for i in range(len(across)):
+            for j in range(len(along)):
+                corners = [(xs[i], ys[j]), (xs[i + 1], ys[j]), (xs[i + 1], ys[j + 1]), (xs[i], ys[j + 1])]
+                self.block(corners, [level(j)[i], upright(i + 1)[j], -level(j + 1)[i], -upright(i)[j]])
+        return Edges(level(0), level(len(along)), upright(0), upright(len(across)))
+
+
+class Edges(NamedTuple):
+    """Curves on the edges of a rectangle, each from left to right or from bottom to top."""
+
+    bottom: list[int]
+    top: list[int]
+    left: list[int]
+    right: list[int]
 
 
 def mesh_bodies(bodies: Sequence[Body], boundaries: Mapping[str, Sequence[int]]) -> None:

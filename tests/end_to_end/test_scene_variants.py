@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import gmsh
+import h5py
 import numpy as np
 import pytest
 
@@ -67,7 +72,7 @@ def tip_amplitude(summary: dict, harmonic: int = 1) -> complex:
     ("laws", "missing", "linear"),
     [
         ("", set(), False),
-        ("normal = 'bonded'\ntangential = 'bonded'", {"gap", "slip"}, True),
+        ("normal = 'bonded'\ntangential = 'bonded'", {"gap", "slip", "contact_state"}, True),
         ("normal = 'unilateral'\ntangential = 'bonded'", {"slip"}, False),
         ("normal = 'bonded'\ntangential = 'coulomb'", {"gap"}, False),
         ("initial_gap = 1e-7", set(), False),
@@ -77,6 +82,9 @@ def test_laws_decide_which_fields_there_are(run, laws, missing, linear):
     summary, fields = run("[contact]\n" + laws)
     assert fields == ALL_FIELDS - missing
     assert (summary["solution"]["unknowns"] == 0) == linear
+    figures = set(summary["solution"]["merit"])
+    assert ("penetration" in figures) == ("gap" not in missing) == ("J_N" in figures)
+    assert ("friction_dissipation" in figures) == ("slip" not in missing) == ("J_T" in figures)
     assert abs(tip_amplitude(summary)) > 0
 
 
@@ -86,7 +94,7 @@ def test_quadratic_elements_are_softer_by_little(run):
     assert quadratic["model"]["nodes"] > 3 * linear["model"]["nodes"]
     assert quadratic["model"]["pairs"] == 2 * linear["model"]["pairs"] - 1
     assert 1 < abs(tip_amplitude(quadratic) / tip_amplitude(linear)) < 1.2
-    assert fields == ALL_FIELDS - {"gap", "slip"}
+    assert fields == ALL_FIELDS - {"gap", "slip", "contact_state"}
 
 
 def test_mesh_file_gives_the_result_of_its_builder(run, tmp_path):
@@ -141,3 +149,118 @@ def test_each_form_of_damping_dissipates(run, damping):
     merit = summary["solution"]["merit"]
     assert merit["viscous_dissipation"] > 0
     assert merit["excitation_work"] == pytest.approx(merit["viscous_dissipation"], rel=1e-6)
+
+
+def test_each_flank_has_its_own_laws(tmp_path):
+    """A dovetail bonded on its left flank and rubbing on its right one, through files."""
+    default = (ROOT / "demos" / "blade_root.toml").read_text()
+    text = default.replace("../geometry/fir_tree.py", str(ROOT / "geometry" / "dovetail.py"))
+    text += "\n[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n[flanks.right]\nfriction = 0.35\n"
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    with (tmp_path / "results" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    flank = {name: [row for row in rows if row["flank"] == name] for name in ("left", "right")}
+    assert summary["solution"]["unknowns"] == 2 * len(flank["right"]) * 11, "bonds hold the blade: nothing floats"
+    assert {row["stick_share"] for row in flank["left"]} == {"1.0"}
+    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["left"]) < 1e-15
+    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["right"]) > 1e-8
+    assert min(float(row["normal_force_min [N]"]) for row in flank["left"]) < 0, "a bond pulls"
+
+
+def test_a_static_scene_is_solved_at_rest(run, tmp_path):
+    text = SCENE.split("[loads.shake]")[0].format(source=BLOCKS)
+    (tmp_path / "rest.toml").write_text(text)
+    assert main(["run", str(tmp_path / "rest.toml"), "--out", str(tmp_path / "rest")]) == 0
+    summary = json.loads((tmp_path / "rest" / "summary.json").read_text())
+    pairs = summary["model"]["pairs"]
+    assert summary["solution"]["harmonics"] == [0]
+    assert summary["solution"]["unknowns"] == 2 * pairs + 3
+    with h5py.File(tmp_path / "rest" / "displacement.h5") as file:
+        assert len(file["Function"]["displacement"]) == 1
+    with (tmp_path / "rest" / "pairs.csv").open() as file:
+        forces = [float(row["normal_force_mean [N]"]) for row in csv.DictReader(file)]
+    assert sum(forces) == pytest.approx(1000.0, rel=1e-9)
+
+
+def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
+    text = SCENE.format(source=BLOCKS).replace(
+        "frequency = 1000.0", "frequency = { from = 2000, to = 6000, points = 5 }"
+    )
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    with (tmp_path / "results" / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["frequency [Hz]"]) for row in rows] == [2000, 3000, 4000, 5000, 6000]
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    assert {"frequency_response.csv", "frequency_response.png", "displacement.xdmf"} <= set(summary["files"])
+    assert "sweep" in summary["seconds"] and "solve" not in summary["seconds"]
+    peak = max(rows, key=lambda row: float(row["rms_tip"]))
+    assert summary["solution"]["frequency_Hz"] == float(peak["frequency [Hz]"])
+    assert abs(tip_amplitude(summary)) == pytest.approx(float(peak["|tip| harmonic 1"]), rel=1e-12)
+
+
+def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
+    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 20\ncoefficient = 1e-9\n[contact]\nfriction = 0.1\n"
+    (tmp_path / "scene.toml").write_text(text.replace("force = [50.0, 0.0]", "force = [150.0, 0.0]"))
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    assert "20 cycles in" in capsys.readouterr().out
+    with (tmp_path / "results" / "wear.csv").open() as file:
+        history = list(csv.DictReader(file))
+    with (tmp_path / "results" / "pairs.csv").open() as file:
+        worn = [float(row["worn_depth [m]"]) for row in csv.DictReader(file)]
+    assert float(history[-1]["cycles"]) == 20 and float(history[0]["deepest [m]"]) == 0
+    assert max(worn) == pytest.approx(float(history[-1]["deepest [m]"]), rel=1e-12)
+    assert max(worn) > 0
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    assert {"wear.csv", "wear.png", "worn_depth.xdmf", "worn_gap.xdmf", "worn_surface.xdmf"} <= set(summary["files"])
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("wear "))
+    assert " on " in shown and "20 cycles" in shown and shown.rstrip().endswith("%"), "its share of the run's time"
+
+
+def test_a_bonded_scene_loads_and_runs_nothing_that_it_does_not_call_for(tmp_path):
+    """Through files: no sweep, no wear, no ladder that climbs, no SNES."""
+    (tmp_path / "scene.toml").write_text(
+        SCENE.format(source=BLOCKS) + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n"
+    )
+    script = (
+        "import sys; import ewr_fenicsx.snes as snes, ewr_fenicsx.newton as newton\n"
+        "def fail(*_, **__): raise AssertionError('a linear scene needs no Newton')\n"
+        "snes.run_newton = newton.run_newton = newton.climb = fail\n"
+        "from ewr_fenicsx.cli import main\n"
+        f"code = main(['run', {str(tmp_path / 'scene.toml')!r}, '--out', {str(tmp_path / 'results')!r}])\n"
+        "print(code, *sorted(name for name in sys.modules if name.startswith('ewr_fenicsx.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    code, *loaded = done.stdout.splitlines()[-1].split()
+    loaded = {name.split(".")[1] for name in loaded}
+    assert code == "0" and "output" in loaded
+    assert not loaded & {"wear", "wear_store", "archard", "frequency_sweep", "following", "time_integration", "effects"}
+
+
+def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
+    """The recipe of docs/adding_a_law.md beside a scene: its fields are written, its cost is told."""
+    recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1)
+    (tmp_path / "slider.py").write_text(code.replace('"jenkins"', '"spring_slider"'))
+    law = "law_files = ['slider.py']\ntangential = 'spring_slider'\nparameters = { spring = 1e7, limit = 3.0 }\n"
+    summary, fields = run("[contact]\n" + law)
+    assert fields == ALL_FIELDS | {"slider_velocity"}
+    pairs = summary["model"]["pairs"]
+    assert summary["solution"]["unknowns"] == 2 * pairs * 7 + 3
+    with (tmp_path / "results" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert max(abs(float(row["friction_force_max [N]"])) for row in rows) < 3.0 * 1.5
+    assert max(float(row["slider_velocity_max"]) for row in rows) > 0
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    lines = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "a law registered outside the package" in lines["Jenkins"] and str(7 * pairs) in lines["Jenkins"]
+    shares = [float(line.split()[-1].rstrip("%")) for line in lines.values() if line.rstrip().endswith("%")]
+    assert len(shares) == 3, "separation, the law and the floating body share the solve"
+    solve_share = summary["seconds"]["solve"] / sum(summary["seconds"].values())
+    assert sum(shares) == pytest.approx(100 * solve_share, abs=0.2)

@@ -16,7 +16,8 @@ from ewr_fenicsx.balance import HarmonicBalance
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import hard_cases
-from hard_cases import DEGENERATE, draw_cases, run_case, run_sampled
+from degenerate_cases import DEGENERATE, shake_dovetail
+from hard_cases import draw_cases, run_case, run_sampled
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
 
@@ -91,6 +92,19 @@ def test_a_case_that_takes_too_long_is_given_up():
     assert HarmonicBalance.linearise.__name__ == "linearise"  # the counter is gone
 
 
+@pytest.mark.parametrize("rho", [(1e3, 1e3), (1e-3, 1e-3), (1.0, 1e-3)])
+def test_weights_far_off_are_approached_from_the_defaults(rho):
+    """Gross lift-off, which no way by itself finds with such weights; the answer is the asked problem's own."""
+    case = hard_cases.Case("dovetail", 1.05, ("reached", 3.0), 1.5, 5, 0.005, "random", rho)
+    problem = hard_cases.pose_case(case)
+    solution = solve(problem)
+    balance = HarmonicBalance(problem.system)
+    assert np.linalg.norm(balance.residual(balance.pack(solution.forces, solution.rigid))) <= 1e-8
+    usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
+    assert np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid))) > 1e-6
+    assert any(rung.startswith("from the default weights") for rung in solution.fallbacks)
+
+
 # Degenerate cases
 
 
@@ -138,7 +152,7 @@ def test_without_preload_the_answer_scales_with_the_load():
 
 @pytest.mark.parametrize("name", ["redundant pairs", "one pair of six twice"])
 def test_redundant_pairs_share_what_one_would_carry(name):
-    single = solve(replace(hard_cases._dovetail(), rho_normal=None))
+    single = solve(replace(shake_dovetail(), rho_normal=None))
     double = solve_degenerate(name)
     np.testing.assert_allclose(
         double.output("tip"), single.output("tip"), atol=2e-2 * np.abs(single.output("tip")).max()

@@ -11,7 +11,7 @@ from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_problem import MEAN_FRICTION_REGULARISATION
+from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
 
 FREQUENCY = 0.21
 STATES = ("stick", "slip", "open", "mixed")

@@ -16,12 +16,15 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it. Names that do not exist yet are reserved places.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "reduced_model", "harmonics", "contact_laws", "statics", "compliance", "contact_problem",
-    "elimination", "balance", "indicators", "solution", "continuation", "smoothing", "snes", "ladder", "newton",
+    "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
+    "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
+    "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
     "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
-    "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene",
+    "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene_entries",
+    "scene_joint", "scene_sense", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
-    "contact_state", "gathering", "plots", "result_folder", "output", "wear_fields", "cli", "__main__",
+    "contact_state", "gathering", "plots", "result_folder", "output",
+    "wear_fields", "study", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

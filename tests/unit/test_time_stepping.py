@@ -6,6 +6,7 @@ import hypothesis
 import hypothesis.strategies as some
 import numpy as np
 import pytest
+from small_models import lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_stepping
 from ewr_fenicsx.errors import ModelError
@@ -281,3 +282,11 @@ def test_importing_the_module_does_not_load_numba():
 
     code = "import sys, ewr_fenicsx.time_integration; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_wear_opens_the_joint_as_an_initial_gap_does():
+    model, depth = lift_off_oscillator(preload=1.0), 0.05
+    worn = TimeScheme(ContactProblem(model, ContactLaws(), 0.1, 3, wear=np.array([depth])), 50)
+    apart = TimeScheme(ContactProblem(model, ContactLaws(initial_gap=depth), 0.1, 3), 50)
+    np.testing.assert_array_equal(worn.initial_gap, apart.initial_gap)
+    np.testing.assert_array_equal(worn.pair_gap, [depth])

@@ -140,11 +140,9 @@ def test_floating_structure_without_shift_is_refused():
         solve_modes(structure.stiffness, structure.mass, 4)
 
 
-@pytest.mark.parametrize("plane", ["stress", "strain"])
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("quadrilaterals", [True, False])
-def test_static_patch(plane, degree, quadrilaterals):
-    """A linear displacement on skewed elements: inner nodes in balance, exact energy, exact traction on the tip."""
+def stretch_patch(plane: str, degree: int, quadrilaterals: bool) -> tuple[float, float, float]:
+    """Relative errors under a linear displacement of skewed elements: of the energy, of the balance of the inner nodes
+    and of the traction on the tip."""
     structure = assemble(
         TWO_BLOCKS,
         {"welded": True, "skew": 0.013, "quadrilaterals": quadrilaterals},
@@ -165,17 +163,27 @@ def test_static_patch(plane, degree, quadrilaterals):
     stress = young / (1 - poisson**2) * ((1 - poisson) * strain + poisson * np.trace(strain) * np.eye(2))
     force = structure.stiffness * u
     volume = 0.04 * 0.09 * 0.02
-    assert u.dot(force) == pytest.approx((stress * strain).sum() * volume, rel=1e-11)
+    energy = abs(u.dot(force) / ((stress * strain).sum() * volume) - 1)
     nodal = force.array.reshape(-1, 2)
     lean = 0.013 / 0.06  # of the blade's left edge
     left = np.where(y > 0.03, (y - 0.03) * lean, 0)
     inner = (y > 1e-9) & (y < 0.09 - 1e-9) & (x > left + 1e-9) & (x < left + 0.04 - 1e-9)
     assert inner.sum() > 50
-    assert np.abs(nodal[inner]).max() < 1e-11 * np.abs(nodal).max()
+    balance = np.abs(nodal[inner]).max() / np.abs(nodal).max()
     # corner nodes of the tip carry a share of the side's traction as well: leave them out
     edge = (y > 0.09 - 1e-9) & (x > left + 1e-9) & (x < left + 0.04 - 1e-9)
     share = structure.outputs["tip"].array.reshape(-1, 2)[edge, 1]
-    np.testing.assert_allclose(nodal[edge], np.outer(share * 0.04 * 0.02, stress[:, 1]), rtol=1e-9)
+    traction = np.abs(nodal[edge] / np.outer(share * 0.04 * 0.02, stress[:, 1]) - 1).max()
+    return float(energy), float(balance), float(traction)
+
+
+@pytest.mark.parametrize("plane", ["stress", "strain"])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("quadrilaterals", [True, False])
+def test_static_patch(plane, degree, quadrilaterals):
+    """A linear displacement on skewed elements: inner nodes in balance, exact energy, exact traction on the tip."""
+    energy, balance, traction = stretch_patch(plane, degree, quadrilaterals)
+    assert energy < 1e-11 and balance < 1e-11 and traction < 1e-9
 
 
 def receptance(structure, transformation, frequencies):

@@ -60,17 +60,27 @@ def test_friction_force_of_the_dry_oscillator_is_a_square_wave():
     assert work["friction"] == pytest.approx(4 * 0.2 * den_hartog_amplitude(0.6, 0.2), rel=2e-3)
 
 
-def test_block_slides_to_rest_where_coulomb_says():
-    """Distance v0^2 / (2 mu g), time v0 / (mu g); friction is -mu m g until then and nothing afterwards."""
-    mass, gravity, friction, speed = 2.5, 9.81, 0.3, 4.0
+BLOCK = {"mass": 2.5, "gravity": 9.81, "friction": 0.3, "speed": 4.0}
+
+
+def slide_block(steps: int):
+    """A block thrown along the ground, over 1.6 times the time v0 / (mu g) that it slides."""
+    mass, gravity, friction, speed = BLOCK.values()
     model = ReducedModel(
         mass=np.diag([mass, mass]), damping=np.zeros((2, 2)), stiffness=np.zeros((2, 2)), normal=[[0.0, 1.0]],
         tangential=[[1.0, 0.0]], load={0: [0.0, -mass * gravity]}, outputs={"x": [1.0, 0.0]},
     )  # fmt: skip
     stop = speed / (friction * gravity)
     problem = ContactProblem(model, ContactLaws(friction=friction), frequency=1 / (1.6 * stop), harmonics=1)
+    return integrate(problem, State(np.zeros(2), np.array([speed, 0.0])), steps=steps, periods=1, tolerance=0)
+
+
+def test_block_slides_to_rest_where_coulomb_says():
+    """Distance v0^2 / (2 mu g), time v0 / (mu g); friction is -mu m g until then and nothing afterwards."""
+    mass, gravity, friction, speed = BLOCK.values()
+    stop = speed / (friction * gravity)
     for steps in (97, 970):
-        result = integrate(problem, State(np.zeros(2), np.array([speed, 0.0])), steps=steps, periods=1, tolerance=0)
+        result = slide_block(steps)
         dt = 1.6 * stop / steps
         assert result.transient("x")[-1] == pytest.approx(speed * stop / 2, abs=friction * gravity * dt**2)
         velocity, force = result.history("slip_velocity")[:, 0], result.last.impulses[:, 1] / dt
@@ -82,6 +92,19 @@ def test_block_slides_to_rest_where_coulomb_says():
         assert np.abs(result.history("gap")).max() < 1e-14
 
 
+def throw_bar(elements: int):
+    """A bar (c = E = L = A = 1) that meets a wall at speed 1, for a time 4; lumped masses."""
+    h = 1 / elements
+    mass = h * np.diag(np.r_[0.5, np.ones(elements - 1), 0.5])
+    stretch = np.diff(np.eye(elements + 1), axis=0)
+    model = ReducedModel(
+        mass=mass, damping=np.zeros_like(mass), stiffness=stretch.T @ stretch / h, normal=np.eye(1, elements + 1)
+    )
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless"), frequency=1 / 4, harmonics=1)
+    start = State(np.zeros(elements + 1), -np.ones(elements + 1))
+    return integrate(problem, start, steps=16 * elements, periods=1, tolerance=0)
+
+
 def test_bar_against_a_wall_obeys_the_wave_solution():
     """A bar (c = E = L = A = 1) hits a wall at speed 1: constant force 1 for a time 2, then it leaves as it came.
 
@@ -90,15 +113,7 @@ def test_bar_against_a_wall_obeys_the_wave_solution():
     """
     errors = []
     for elements in (25, 100):
-        h = 1 / elements
-        mass = h * np.diag(np.r_[0.5, np.ones(elements - 1), 0.5])
-        stretch = np.diff(np.eye(elements + 1), axis=0)
-        model = ReducedModel(
-            mass=mass, damping=np.zeros_like(mass), stiffness=stretch.T @ stretch / h, normal=np.eye(1, elements + 1)
-        )
-        problem = ContactProblem(model, ContactLaws(tangential="frictionless"), frequency=1 / 4, harmonics=1)
-        start = State(np.zeros(elements + 1), -np.ones(elements + 1))
-        result = integrate(problem, start, steps=16 * elements, periods=1, tolerance=0)
+        h, result = 1 / elements, throw_bar(elements)
         dt, impulse = result.scheme.dt, result.last.impulses[:, 0]
         instant = dt * (np.arange(impulse.size) + 0.5)
         steady = impulse[(instant > 0.2) & (instant < 1.8)] / dt

@@ -1,0 +1,139 @@
+# %% [markdown]
+# # The gallery
+# Solves every scene of this folder and draws one picture of each for `docs/gallery.md`, which this script writes as
+# well: on the left the joint at the instant of its largest motion, on the right what its contact does over the period,
+# over frequencies or over cycles.
+
+# %%
+import sys
+from pathlib import Path
+
+import dolfinx
+import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from ewr_fenicsx import load_scene
+from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.contact_state import classify_contact
+from ewr_fenicsx.effects import list_effects
+from ewr_fenicsx.gathering import gather_cells
+from ewr_fenicsx.plots import BODY_COLOURS, FLANK_COLOURS, INK
+from ewr_fenicsx.study import run_study
+
+HERE = Path(__file__).parent
+DOCS = HERE.parent / "docs"
+SCENES = ("friction_damped_beam", "two_blocks", "dovetail", "blade_root", "bolted_lap", "tapping_rod")
+STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
+SAMPLES = 256
+
+
+# %%
+def draw_motion(axes, chain, solution):
+    """The bodies at the instant of their largest motion, magnified; pairs in the colour of what they do most then."""
+    phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
+    oscillating = np.where(np.array(solution.orders)[:, None] > 0, solution.coordinates, 0)
+    frames = (phase @ oscillating).real
+    shape = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
+    field = dolfinx.fem.Function(chain.structure.space)
+    field.x.array[:] = shape.x.array
+    cells = gather_cells(chain, field)
+    stretch = 0.06 * cells.scale / max(np.linalg.norm(cells.values, axis=2).max(), 1e-300)
+    corners = 1e3 * (cells.corners + stretch * cells.values)
+    for k, body in enumerate(np.unique(cells.body)):
+        axes.add_collection(PolyCollection(corners[cells.body == body], facecolors=BODY_COLOURS[k % len(BODY_COLOURS)]))
+    axes.add_collection(LineCollection(1e3 * cells.outline(), colors="#999999", linewidths=0.6, linestyles="--"))
+    axes.add_collection(LineCollection(1e3 * cells.outline(stretch), colors=INK, linewidths=0.8))
+    axes.plot(*(1e3 * chain.interface.position.T), ".", color=FLANK_COLOURS[0], markersize=2.5)
+    axes.autoscale_view()
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"motion, {stretch:.0f} times")
+
+
+def draw_states(axes, chain, solution):
+    """Open, stick and slip of every pair over the period."""
+    state = classify_contact(solution, SAMPLES).T
+    axes.imshow(
+        state,
+        cmap=ListedColormap(list(STATES.values())),
+        vmin=0,
+        vmax=2,
+        aspect="auto",
+        interpolation="nearest",
+        extent=(0, 1, len(state) - 0.5, -0.5),
+    )
+    for k, flank in enumerate(chain.interface.flanks):
+        pairs = np.flatnonzero(chain.interface.flank_of_pair == k)
+        axes.axhline(pairs[-1] + 0.5, color=INK, linewidth=0.8)
+        if len(chain.interface.flanks) > 1:
+            axes.text(0.99, pairs.mean(), flank.replace("_", " "), ha="right", va="center", fontsize=7)
+    axes.set(xlabel="time / period", ylabel="pair", title="what each pair does")
+    axes.legend(
+        handles=[Patch(facecolor=colour, edgecolor=INK, label=name) for name, colour in STATES.items()],
+        loc="upper left",
+        fontsize=7,
+        framealpha=0.9,
+    )
+
+
+def draw_curve(axes, x, y, across, along):
+    """One curve."""
+    axes.plot(x, y, ".-", color=FLANK_COLOURS[1], linewidth=1.2)
+    axes.set(xlabel=across, ylabel=along, title=along)
+    axes.set_ylim(bottom=0.0)
+
+
+def draw_taps(axes, solution):
+    """Gap and normal force of the joint over the period."""
+    time = np.arange(SAMPLES) / SAMPLES
+    axes.plot(time, 1e6 * solution.history("gap", SAMPLES).mean(axis=1), color=FLANK_COLOURS[1], label="gap [µm]")
+    force = solution.history("normal_force", SAMPLES).sum(axis=1)
+    axes.plot(time, force / 20, color=FLANK_COLOURS[0], label="normal force [20 N]")
+    axes.axhline(0.0, color=INK, linewidth=0.6)
+    axes.set(xlabel="time / period", title="gap and normal force")
+    axes.legend(fontsize=7)
+
+
+def draw_scene(name: str) -> str:
+    """Solves a scene, draws its picture and returns its part of the page."""
+    path = HERE / f"{name}.toml"
+    scene = load_scene(path)
+    chain = build_chain(scene)
+    study = run_study(chain)
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    draw_motion(left, chain, study.solution)
+    if len(scene.frequencies) > 1:
+        draw_curve(right, *study.curve, "frequency [Hz]", "tip, rms [m]")
+    elif scene.wear:
+        draw_curve(right, *study.curve, "cycles", "mean worn depth [m]")
+    elif scene.contact.tangential == "frictionless":
+        draw_taps(right, study.solution)
+    else:
+        draw_states(right, chain, study.solution)
+    figure.suptitle(scene.title, fontsize=10)
+    figure.savefig(DOCS / "pictures" / f"gallery_{name}.png", dpi=80)
+    said = [line.removeprefix("# ") for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    effects = [effect for effect in list_effects(scene, problem) if effect.on]
+    table = "\n".join(f"| {e.name} | {e.unknowns or ''} | {e.why} |" for e in effects)
+    return (
+        f"## {scene.title}\n\n{' '.join(said)}\n\n![{scene.title}](pictures/gallery_{name}.png)\n\n"
+        f"`ewr run demos/{name}.toml`\n\n| effect | unknowns | from |\n|---|---|---|\n{table}\n"
+    )
+
+
+# %%
+PAGE = """# Gallery
+
+Six scenes, each solved within seconds, each run by the tests. `demos/draw_gallery.py` draws the pictures and writes
+this page. `demos/choose_your_effects.py` walks from a bonded joint to everything at once on one model.
+
+"""
+
+if __name__ == "__main__":
+    names = sys.argv[1:] or SCENES
+    parts = {name: draw_scene(name) for name in names}
+    if set(parts) == set(SCENES):
+        (DOCS / "gallery.md").write_text(PAGE + "\n".join(parts.values()), encoding="utf-8")

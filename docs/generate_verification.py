@@ -1,0 +1,219 @@
+"""Write docs/verification.md: every number in it comes from a run of this script.
+
+    .venv/bin/python docs/generate_verification.py          some three minutes
+
+The closed forms are in `verification_cases.py`, the blade root here; the sections on the other code and on times show
+benchmarks/results, where those benchmarks have been run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from verification_cases import NOTES, ROOT, SECTIONS, Case
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+from models import blade_root
+
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+
+PAGE = ROOT / "docs" / "verification.md"
+HEADER = ["case", "quantity", "exact", "ours", "error", "time, s"]
+FRICTION, ORDERS = 0.2, (5, 9, 15, 23, 31)
+STEPS = (800, 1600, 3200)  # a period, of time stepping on the blade root; the last two are extrapolated to none
+BLADE_TITLE = "The blade root: harmonic balance against time stepping"
+# name -> frequency [Hz], shaking force over the demo's
+BLADE_CASES = {
+    "Full stick": (1000.0, 0.1),
+    "Some pairs slip": (900.0, 1.0),
+    "All pairs slip, some lift off": (1000.0, 1.0),
+    "All pairs slip and lift off": (1000.0, 2.0),
+}
+BLADE_HEADER = ["N", "tip, %", "tip modulus, %", "tip rms, %", "gaps, %", "normal forces, %", "friction forces, %"]
+BLADE_HEADER += ["cone violation", "Newton steps", "time, s"]
+
+
+def clock(run: Callable[[], object]) -> tuple[object, float]:
+    """A call's result and the processor time that it took [s]."""
+    begin = time.process_time()
+    result = run()
+    return result, time.process_time() - begin
+
+
+def write_table(header: list[str], rows: list[list[object]]) -> str:
+    """A Markdown table."""
+    show = lambda cell: "" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)  # noqa: E731
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join(lines + ["| " + " | ".join(map(show, row)) + " |" for row in rows])
+
+
+def measure_case(case: Case) -> list[list[object]]:
+    """Rows of a case as in the table; the time is that of all its quantities together."""
+    name, function, arguments = case
+    rows, seconds = clock(lambda: list(function(*arguments)))
+    return [[name, row.quantity, row.exact, row.ours, row.error, f"{seconds:.2f}"] for row in rows]
+
+
+def root_mean_square(error: np.ndarray, scale: np.ndarray) -> str:
+    """Over all pairs and instants, in percent."""
+    return f"{100 * np.sqrt(np.mean(error**2) / np.mean(scale**2)):.2f}"
+
+
+def compare_blade_root(frequency: float, load: float) -> tuple[str, list[list[object]]]:
+    """Harmonic solutions from cold, and the steady state of time stepping: its contact state, and the errors by N."""
+    model = blade_root()
+    model = replace(model, load={h: f * (load if h else 1.0) for h, f in model.load.items()})
+    pose = lambda n: ContactProblem(model, ContactLaws(friction=FRICTION), frequency, n)  # noqa: E731
+    solutions = [clock(lambda n=n: solve(pose(n))) for n in ORDERS]
+    start, tips, spent = solutions[-1][0], [], 0.0
+    for steps in STEPS:
+        steady, seconds = clock(
+            lambda steps=steps, start=start: integrate(pose(1), start, steps, 100, tolerance=3e-6, acceleration=True)
+        )
+        start, spent = steady.end, spent + seconds
+        tips.append(np.array([steady.output("tip")[1], steady.output_history("tip").std()]))
+    tip = tips[-1] + (tips[-1] - tips[-2]) / 3  # the scheme is of second order
+    samples = 1024
+    gap, normal, friction = (steady.history(name, samples) for name in ("gap", "normal_force", "friction_force"))
+    pressed = normal > 1e-3 * normal.max()
+    slips = int(((np.abs(friction) > 0.999 * FRICTION * normal) & pressed).any(axis=0).sum())
+    opens = int((~pressed).any(axis=0).sum())
+    moved = 100 * abs(tips[-1][0] - tip[0]) / abs(tip[0])
+    state = f"""{frequency:g} Hz, {load:g} times the demo's shaking. Of {model.pairs} pairs {slips} slip and {opens}
+lift off at some time. Tip: {1e3 * abs(tip[0]):.5f} mm, extrapolated; {STEPS[-1]} steps a period, from which gaps
+and forces are taken, are {moved:.1g} % from it
+({"steady" if steady.converged else steady.reason}; {spent:.0f} s in all)."""
+    rows = []
+    for n, (solution, seconds) in zip(ORDERS, solutions, strict=True):
+        y = solution.output("tip")
+        rms = np.linalg.norm(y[1:]) / np.sqrt(2)
+        gaps, forces, rubs = (
+            solution.history(name, samples) for name in ("gap", "normal_force", "admissible_friction_force")
+        )
+        rows.append(
+            [
+                n,
+                f"{100 * abs(y[1] - tip[0]) / abs(tip[0]):.3f}",
+                f"{100 * (abs(y[1]) / abs(tip[0]) - 1):+.3f}",
+                f"{100 * (rms / tip[1].real - 1):+.3f}",
+                root_mean_square(gaps - gap, gap) if opens else "closed",
+                root_mean_square(forces - normal, normal),
+                root_mean_square(rubs - friction, friction),
+                f"{solution.merit['cone_violation']:.3f}",
+                solution.iterations,
+                f"{seconds:.2f}",
+            ]
+        )
+    return state, rows
+
+
+def read_results(name: str) -> dict | None:
+    """A benchmark's results, None where it has not been run."""
+    path = ROOT / "benchmarks" / "results" / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def show_number(value: object) -> object:
+    """Three digits; nothing where there is no value."""
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else value
+
+
+def describe_peers(found: dict) -> list[str]:
+    """The comparison with pyHarm as Markdown."""
+    scaled = lambda value, factor=100: None if value is None else factor * value  # noqa: E731
+    rows = []
+    for c in found["cases"]:
+        for name, run in c["peer"].items():
+            row = [c["pairs"], c["load"], c["harmonics"], 1e3 * c["our_seconds"], name]
+            row += [scaled(run["mean_seconds"], 1000), run["ratio"], f"{run['count']} of {c['points']}"]
+            rows.append([*row, *map(scaled, (run["distance"], c["our_error"], run["error"]))])
+    header = ["pairs", "load", "N", "ours, ms a point", "pyHarm", "its ms a point", "ratio", "points it solved"]
+    header += ["apart, %", "ours from steady, %", "pyHarm's, %"]
+    keys = ["pairs", "load", "harmonics", "distance", "our_error", "peer_error", "apart"]
+    answers = [[*(row[key] for key in keys[:3]), *(scaled(row[key]) for key in keys[3:])] for row in found["answers"]]
+    return [
+        f"""Two trusses pressed together and shaken (`benchmarks/peers.py`): the same matrices, law, frequencies,
+harmonics and {found["cases"][0]["samples"]} samples in `{found["requirement"]}` (dynamic-Lagrangian contact), as it
+comes and with its Jacobian mended; its best run of several penalties and solvers counts. The ratio is over the points
+that it solved.""",
+        "",
+        write_table(header, [list(map(show_number, row)) for row in rows]),
+        "",
+        """Answers, as harmonics are added: largest difference of the tip's first harmonic over a sweep. Where a pair
+never slips its mean friction is free within limits and the laws have neighbouring steady states; each answer is held
+against the one that time stepping reaches from it.""",
+        "",
+        write_table(
+            [
+                "pairs",
+                "load",
+                "N",
+                "apart, %",
+                "ours from its steady state, %",
+                "pyHarm's, %",
+                "steady states apart, %",
+            ],
+            [list(map(show_number, row)) for row in answers],
+        ),
+    ]
+
+
+def describe_times(found: dict) -> list[str]:
+    """Times to a given error as Markdown."""
+    return [
+        """Blade root, one thread, processor time (`benchmarks/against_time_stepping.py`). Time stepping plain and
+accelerated, from rest and from full stick, told by an oracle when to stop. Empty: not reached with the sizes tried.""",
+        "",
+        write_table(list(found["summary"][0]), [list(map(show_number, row.values())) for row in found["summary"]]),
+    ]
+
+
+BENCHMARKS = {
+    "Another code: pyHarm": ("peers", describe_peers),
+    "Time to a given error: harmonic balance and time stepping": ("against_time_stepping", describe_times),
+}
+INTRODUCTION = """# Verification
+
+Written by `docs/generate_verification.py`; do not edit. Times are processor seconds on one core. The cases are those of
+`tests/verification`, which assert the errors and the rates at which they fall; sources and derivations are in the
+tests' docstrings.
+"""
+BLADE_NOTE = """Harmonic solutions from cold with default settings, against the steady state of `integrate`, which
+shares no law with them. Errors: of the tip's first harmonic (complex amplitude, then its modulus), of the rms of the
+tip's oscillation; of gaps, normal and admissible friction forces in the root mean square over all pairs and a period,
+relative to their own. The cone violation is that of the truncated friction force, over the largest limit."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=PAGE, help="[docs/verification.md]")
+    arguments = parser.parse_args()
+    lines = [INTRODUCTION]
+    for title, cases in SECTIONS.items():
+        measure_case(cases[0])  # first calls load and compile things
+        rows = [row for case in cases for row in measure_case(case)]
+        lines += [f"## {title}", "", *([NOTES[title], ""] if title in NOTES else []), write_table(HEADER, rows), ""]
+        print(lines[-2], flush=True)
+    lines += [f"## {BLADE_TITLE}", "", BLADE_NOTE, ""]
+    for name, setting in BLADE_CASES.items():
+        state, rows = compare_blade_root(*setting)
+        lines += [f"### {name}", "", state, "", write_table(BLADE_HEADER, rows), ""]
+        print(name, state, lines[-2], sep="\n", flush=True)
+    for title, (name, describe) in BENCHMARKS.items():
+        found = read_results(name)
+        missing = [f"Not run here: `.venv/bin/python benchmarks/{name}.py`."]
+        lines += [f"## {title}", "", *(missing if found is None else describe(found)), ""]
+    arguments.output.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    print(f"wrote {arguments.output}")
+
+
+if __name__ == "__main__":
+    main()

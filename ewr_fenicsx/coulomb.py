@@ -1,0 +1,152 @@
+"""Coulomb's dry friction along one line, with the true, varying cone; and the frictionless limit.
+
+Source: the equality-based form of the projections of Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, RealArray, Response, register_law
+from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
+
+# Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
+MEAN_FRICTION_REGULARISATION = 1e-4
+
+
+@register_law("tangential", "coulomb")
+@dataclass(frozen=True, eq=False)
+class DryFriction(LawKind):
+    """Friction under the normal force of the same pair.
+
+    Args:
+        friction: Coefficient, scalar or ``(K,)``.
+        static_friction: ``"resolved"`` finds the mean friction force of pairs that slip; ``"zero"`` sets it to zero.
+    """
+
+    friction: float | RealArray = 0.2
+    static_friction: str = "resolved"
+    histories = ("friction_force", "admissible_friction_force", "slip", "slip_velocity")
+    needs = ("normal",)
+    effect = "friction"
+    odd = blind_to_mean = True
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        if tangents == 2:
+            raise ModelError('tangential = "coulomb" is friction along one line; this model has two tangents a pair')
+        return ("tangential",)
+
+    def bound_mean(self, spread) -> MeanBound:
+        return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        friction, rho = group.spread(self.friction), group.weight["tangential"]
+        if self.static_friction == "zero":
+            return (Coulomb(group.pairs, friction, rho, static_row=0.0, static_force_row=1.0),)
+        eps = MEAN_FRICTION_REGULARISATION
+        springs = eps / group.flexibility["tangential"] if group.hangs_on_friction else 0.0
+        return (Coulomb(group.pairs, friction, rho, 1.0, eps, springs),)
+
+
+@register_law("tangential", "frictionless")
+@dataclass(frozen=True, eq=False)
+class Frictionless(LawKind):
+    """Slip without a force: nothing to solve for."""
+
+    histories = ("slip", "slip_velocity")
+    slides = odd = blind_to_mean = True
+    effect = "frictionless flanks"
+
+
+@dataclass(frozen=True, eq=False)
+class Coulomb(Law):
+    """Dry friction in one tangential direction with the true, varying cone.
+
+    ``lam_T - clip(lam_T - v / rho, -mu c, mu c) = 0`` with ``c = max(0, lam_N)``: the velocity-level
+    dynamic-Lagrangian frequency-time method with penalty ``1 / rho``.
+
+    Args:
+        pairs: ``(K,)`` pairs governed.
+        friction: ``(K,)`` coefficients of friction ``mu``.
+        rho: ``(K,)`` positive weight [(m/s)/N].
+        static_row, static_force_row: ``(1, eps)`` keeps the mean equation, regularised; ``(0, 1)`` sets mean friction
+            to zero.
+        static_displacement_row: ``(K,)`` or scalar; positive where only friction holds a body: pairs that stick
+            throughout then share its mean load like springs [N/m].
+    """
+
+    pairs: np.ndarray
+    friction: RealArray
+    rho: RealArray
+    static_row: float
+    static_force_row: float
+    static_displacement_row: float | RealArray = 0.0
+    direction: str = "tangential"
+
+    def evaluate(self, motion: Motion) -> Response:
+        force, normal = motion.force["tangential"], motion.force["normal"]
+        limit = self.friction * np.maximum(0.0, normal)
+        trial = force - motion.velocity["tangential"] / self.rho
+        forward, backward = trial >= limit, trial <= -limit
+        slips = forward | backward
+        cone = np.where(slips & (normal > 0), np.where(forward, -self.friction, self.friction), 0.0)
+        return Response(
+            force - project_on_cone(trial, limit),
+            (
+                Partial("force", "tangential", np.where(slips, 1.0, 0.0)),
+                Partial("velocity", "tangential", np.where(slips, 0.0, 1 / self.rho)),
+                Partial("force", "normal", cone),
+            ),
+        )
+
+    def fields(self, motion: Motion) -> dict[str, RealArray]:
+        limit = self.friction * np.maximum(0.0, motion.force["normal"])
+        trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
+        return {"admissible_friction_force": project_on_cone(trial, limit), "slipping": np.abs(trial) >= limit}
+
+    def rounded(self, width: float) -> Law:
+        return RoundedCoulomb(self, width)
+
+
+class RoundedCoulomb(Rounded):
+    """``lam_T - clip(lam_T - v / rho, -mu c, mu c) = 0`` with ``c = max(0, lam_N)``, both rounded."""
+
+    def evaluate(self, motion: Motion) -> Response:
+        law, force = self.exact, motion.force["tangential"]
+        cone, opening = round_positive_part(motion.force["normal"], self.width)
+        trial = force - motion.velocity["tangential"] / law.rho
+        value, by_trial, by_limit = round_clip(trial, law.friction * cone, self.width)
+        return Response(
+            force - value,
+            (
+                Partial("force", "tangential", 1 - by_trial),
+                Partial("velocity", "tangential", by_trial / law.rho),
+                Partial("force", "normal", -by_limit * law.friction * opening),
+            ),
+        )
+
+
+def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:
+    """Nearest friction force within the Coulomb limit, sample by sample.
+
+    Args:
+        force: Trial friction force, ``(n_t, K)`` [N].
+        limit: ``mu max(0, lam_N)``, ``(n_t, K)`` [N].
+
+    Returns:
+        Admissible friction force, ``(n_t, K)`` [N].
+
+    Raises:
+        ModelError: A limit is negative or NaN; names the first sample and pair.
+
+    Source: Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
+    """
+    if not np.all(limit >= 0):
+        sample, pair = np.argwhere(~(limit >= 0))[0]
+        raise ModelError(
+            f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative"
+        )
+    return np.clip(force, -limit, limit)

@@ -1,0 +1,279 @@
+"""What a contact law is, and the register of their kinds: all that the rest of the package knows of them.
+
+Two small classes make a law. The *kind* holds what a user said of some pairs (a name and its parameters): which
+contact directions carry an unknown force, which motions are held, what it has to report. The *law* is the equation of
+one direction at samples in time. Nothing else in the package knows which kinds exist: to add one, write the two classes
+and register the kind (docs/adding_a_law.md).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import MappingProxyType
+from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError, nearest
+
+RealArray = np.ndarray
+ComplexArray = np.ndarray
+
+Side = Literal["normal", "tangential"]
+Variable = Literal["force", "force_rate", "displacement", "velocity"]
+
+
+@dataclass(frozen=True, eq=False)
+class Signal(Mapping[str, RealArray]):
+    """One variable at a law's pairs, direction -> ``(n_t, K)``, computed when it is looked at.
+
+    Args:
+        at_rows: Computes the variable at all rows, ``(n_t, m)``.
+        columns: Direction -> ``(K,)`` rows of the pairs.
+        given: Direction -> what computes it at the pairs where no row has it, ``(n_t, K)``.
+    """
+
+    at_rows: Callable[[], RealArray]
+    columns: Mapping[str, np.ndarray]
+    given: Mapping[str, Callable[[], RealArray]] = field(default_factory=dict)
+
+    def __getitem__(self, direction: str) -> RealArray:
+        return self.given[direction]() if direction in self.given else self.at_rows()[:, self.columns[direction]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.columns, *self.given))
+
+    def __len__(self) -> int:
+        return len(self.columns) + len(self.given)
+
+
+class Motion(NamedTuple):
+    """What a law sees of its pairs at every sample: direction -> ``(n_t, K)`` arrays, computed when looked at."""
+
+    force: Mapping[str, RealArray]  # [N]
+    displacement: Mapping[str, RealArray]  # [m]
+    velocity: Mapping[str, RealArray]  # [m/s]
+    force_rate: Mapping[str, RealArray] = MappingProxyType({})  # [N/s]
+
+
+class Partial(NamedTuple):
+    """One partial derivative of a law's residual, sample by sample."""
+
+    variable: Variable
+    direction: str
+    values: RealArray  # (n_t, K)
+
+
+class Response(NamedTuple):
+    """A law's answer at every sample: ``(n_t, K)`` residual [N] and its generalised derivatives."""
+
+    residual: RealArray
+    partials: tuple[Partial, ...]
+
+
+class Law(Protocol):
+    """The equation of one contact direction of some pairs: one unknown force and one equation a pair and sample.
+
+    Attributes:
+        direction: The contact direction that the law owns.
+        pairs: ``(K,)`` pairs that it governs.
+        static_row: Weight of the projected law in its mean equation (0 leaves the mean force to ``static_force_row``).
+        static_force_row: Weight of the mean force in its mean equation.
+        static_displacement_row: ``(K,)`` or scalar weight of the mean displacement in its mean equation [N/m]; only a
+            law with a partial derivative by its velocity may have one.
+        static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
+        stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
+        linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
+    """
+
+    direction: str
+    pairs: np.ndarray
+    static_row: float = 1.0
+    static_force_row: float = 0.0
+    static_displacement_row: float | RealArray = 0.0
+    static_target: RealArray | None = None
+    stick_flexibility: float | RealArray = 0.0
+    linear: bool = False
+
+    def evaluate(self, motion: Motion) -> Response:
+        """Residual and generalised derivatives at every sample."""
+        raise NotImplementedError
+
+    def fields(self, motion: Motion) -> dict[str, RealArray]:
+        """What the law has to report besides its force: name -> ``(n_t, K)``.
+
+        Two names have a meaning for all: ``"open"`` and ``"slipping"``, bool, say in which state each pair is.
+        """
+        return {}
+
+    def rounded(self, width: float) -> Law:
+        """The law with its corners rounded over forces of about ``width`` [N]; a smooth law is its own."""
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class PairGroup:
+    """The pairs on which a kind lays its laws, and the problem's scales there.
+
+    Attributes:
+        pairs: ``(K,)`` numbers of the pairs.
+        total: Pairs of the whole model, ``K_c``.
+        flexibility: Direction with an unknown force -> ``(K,)`` static flexibility [m/N].
+        weight: Direction -> ``(K,)`` weight ``rho`` that the user chose, or the default: [N/m] on the normal
+            displacement, [(m/s)/N] on tangential velocities.
+        clearance: ``(K,)`` initial gap plus wear [m].
+        hangs_on_friction: Whether a floating body is held by nothing but friction.
+    """
+
+    pairs: np.ndarray
+    total: int
+    flexibility: Mapping[str, RealArray]
+    weight: Mapping[str, RealArray]
+    clearance: RealArray
+    hangs_on_friction: bool
+
+    def spread(self, value: float | RealArray) -> RealArray:
+        """A parameter (one value, one a pair of the group or one a pair of the model) as ``(K,)``."""
+        return spread_over_pairs(value, self.pairs, self.total)
+
+
+class MeanBound(NamedTuple):
+    """Mean force that a kind can carry: from smallest to largest, and ``friction`` x the normal force either way."""
+
+    smallest: float | RealArray  # [N]
+    largest: float | RealArray  # [N]
+    friction: float | RealArray = 0.0
+
+
+class LawKind(Protocol):
+    """A kind of law with its parameters: a frozen dataclass whose fields are the parameters' names.
+
+    Everything has a default that suits a kind without rows, so a kind says only what is special about it.
+
+    Attributes:
+        effect: What people call the effect that this kind brings; "" for its class's name.
+        histories: Names of the histories that mean something where this kind rules.
+        needs: Directions whose force its laws must know.
+        slides: Whether pairs slip where no law says so; else they stick.
+        opens: Whether the pairs may part: there is a gap, to which wear adds.
+        odd: Whether the laws' residual changes sign with the forces and motions that they see; forces given from
+            outside apart.
+        blind_to_mean: Whether a mean displacement changes nothing in the laws.
+        initial_gap: Clearance [m], scalar or ``(K,)``.
+        friction: Coefficient of a Coulomb cone, scalar or ``(K,)``; zero where there is none.
+    """
+
+    effect: ClassVar[str] = ""
+    histories: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()
+    slides: ClassVar[bool] = False
+    opens: ClassVar[bool] = False
+    odd: ClassVar[bool] = False
+    blind_to_mean: ClassVar[bool] = False
+    initial_gap = 0.0
+    friction = 0.0
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        """Directions in which each pair has an unknown force; ``tangents`` is 0, 1 (2-D) or 2 (3-D)."""
+        return ()
+
+    def holds(self, tangents: int) -> tuple[str, ...]:
+        """Directions without motion: projected out of the model, unless the other kind needs their force."""
+        return ()
+
+    def give_force(self, count: int) -> Mapping[int, ComplexArray]:
+        """Harmonic -> ``(count,)`` amplitudes of a normal force that is given, not sought [N]."""
+        return {}
+
+    def bound_mean(self, spread: Callable[[float | RealArray], RealArray]) -> MeanBound:
+        """Mean force that it can carry; ``spread`` makes a parameter ``(K,)``."""
+        return MeanBound(0.0, 0.0)
+
+    def build(self, group: PairGroup) -> Iterable[Law]:
+        """The laws of these pairs: one for each direction with an unknown force."""
+        return ()
+
+
+Kind = TypeVar("Kind", bound=type)
+_KINDS: dict[tuple[str, str], type] = {}
+
+
+def register_law(side: Side, name: str) -> Callable[[Kind], Kind]:
+    """Makes a kind known by name, ``ContactLaws(normal=name)`` or ``(tangential=name)``; decorates the class.
+
+    Raises:
+        ModelError: Another kind has that name.
+    """
+
+    def enter(kind: Kind) -> Kind:
+        known = _KINDS.setdefault((side, name), kind)
+        if (known.__module__, known.__qualname__) != (kind.__module__, kind.__qualname__):
+            raise ModelError(
+                f'{side} = "{name}" is {known.__module__}.{known.__qualname__} already; choose another name'
+            )
+        _KINDS[side, name] = kind
+        return kind
+
+    return enter
+
+
+def load_laws(source: Path) -> None:
+    """Runs a Python file that registers kinds of its own; run again, its kinds take the place of the former ones.
+
+    Raises:
+        Exception: What the file raises when it is run.
+    """
+    name = f"_laws_{source.stem}"
+    specification = spec_from_file_location(name, source)
+    module = sys.modules[name] = module_from_spec(specification)  # dataclasses look up the module that defines them
+    specification.loader.exec_module(module)
+
+
+def list_parameters(side: Side, name: str) -> tuple[str, ...]:
+    """Names of the parameters that a kind takes.
+
+    Raises:
+        ModelError: Nothing of that name is registered.
+    """
+    return tuple(f.name for f in fields(find_kind(side, name)))
+
+
+def known_laws(side: Side) -> tuple[str, ...]:
+    """Names of the kinds registered for a side, in the order of their registration."""
+    return tuple(name for at, name in _KINDS if at == side)
+
+
+def find_kind(side: Side, name: str) -> type:
+    """The class of a kind by its name.
+
+    Raises:
+        ModelError: Nothing of that name is registered; names what is.
+    """
+    if (side, name) not in _KINDS:
+        known = known_laws(side)
+        raise ModelError(f'{side} = "{name}"; choose one of {", ".join(map(_quote, known))}{nearest(name, known)}')
+    return _KINDS[side, name]
+
+
+def spread_over_pairs(value, pairs: np.ndarray, total: int) -> RealArray:
+    """A scalar, a value for each pair of the model, or one for each pair of the group, as ``(K,)``.
+
+    Raises:
+        ModelError: None of these.
+    """
+    array = np.asarray(value, dtype=float)
+    if array.ndim == 0:
+        return np.full(pairs.size, float(array))
+    if array.shape == (pairs.size,):
+        return array
+    if array.shape == (total,):
+        return array[pairs]
+    raise ModelError(f"{array.size} values for {pairs.size} pairs; give one, or one a pair")
+
+
+def _quote(name: str) -> str:
+    return f'"{name}"'

@@ -1,0 +1,121 @@
+"""The rows of a joint: which directions of which pairs carry an unknown force, and which are held.
+
+They follow from the kinds of law alone, so that problems that differ in parameters share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ewr_fenicsx.compliance import receptance
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.law_kinds import LawKind
+from ewr_fenicsx.reduced_model import RealArray, ReducedModel, hold
+
+DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
+
+
+class Demand(NamedTuple):
+    """What the laws of a group of pairs ask of the model's rows."""
+
+    pairs: tuple[int, ...]
+    active: tuple[str, ...]  # directions with an unknown force
+    held: tuple[str, ...]  # directions projected out
+
+
+def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ...]) -> Demand:
+    """Which rows of some pairs carry an unknown force, and which are held.
+
+    A direction that is held has an unknown force all the same where another kind must know it.
+
+    Raises:
+        ModelError: A kind does not fit the model's number of tangents.
+    """
+    needed = {d for kind in kinds for d in kind.needs}
+    held = [d for kind in kinds for d in kind.holds(model.tangents)]
+    acting = [d for kind in kinds for d in kind.acts_in(model.tangents)] + [d for d in held if d in needed]
+    return Demand(
+        tuple(pairs.tolist()),
+        tuple(d for d in DIRECTIONS if d in acting),
+        tuple(d for d in DIRECTIONS if d in held and d not in acting),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The rows of a joint, which follow from the kinds of law alone.
+
+    Attributes:
+        model: The model with bonded rows projected out, ``n'`` coordinates.
+        expansion: ``(n, n')`` from its coordinates to those of the problem's model.
+        rows: ``(m, n')`` contact rows that carry an unknown force.
+        index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
+        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out [m/N].
+        mobility: ``(m,)`` inverse inertia of each row where it is all that resists, else zero [1/kg].
+    """
+
+    model: ReducedModel
+    expansion: RealArray
+    rows: RealArray
+    index: Mapping[str, np.ndarray]
+    flexibility: RealArray
+    mobility: RealArray
+
+
+def row_of(index: Mapping[str, np.ndarray], direction: str, pairs: np.ndarray) -> np.ndarray:
+    """Row of each of ``pairs`` in a direction, -1 where it has none."""
+    return index[direction][pairs] if direction in index else np.full(pairs.size, -1)
+
+
+@lru_cache(maxsize=16)
+def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
+    """Rows of a joint from what each group of pairs asks for.
+
+    Raises:
+        ModelError: A law needs contact rows that the model lacks, or a row that nothing can move.
+    """
+    held, active = [np.zeros((0, model.size))], {}
+    for demand in demands:
+        pairs = np.array(demand.pairs, dtype=int)
+        held += [model.rows(direction)[pairs] for direction in demand.held]
+        for direction in demand.active:
+            active.setdefault(direction, []).append(pairs)
+    active = {direction: active[direction] for direction in DIRECTIONS if direction in active}
+    directions = {name: np.sort(np.concatenate(pairs)) for name, pairs in active.items()}
+    rows = np.vstack([np.zeros((0, model.size)), *(model.rows(name)[pairs] for name, pairs in directions.items())])
+    index, start = {}, 0
+    for name, pairs in directions.items():
+        index[name] = np.full(model.pairs, -1)
+        index[name][pairs] = np.arange(start, start + pairs.size)
+        start += pairs.size
+    kept, expansion = hold(model, np.vstack(held))
+    rows = rows @ expansion
+    flexibility, mobility = measure_flexibility(kept, rows)
+    return Layout(kept, expansion, rows, index, flexibility, mobility)
+
+
+def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:
+    """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, zero and the row's mobility [1/kg].
+
+    Raises:
+        ModelError: A row moves with no coordinate of the model.
+    """
+    mobility = np.zeros(rows.shape[0])
+    if rows.shape[0] == 0:
+        return mobility, mobility
+    elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
+    norms = np.linalg.norm(rows, axis=1)
+    if not np.all(norms > 0):
+        raise ModelError(
+            f"contact row {int(np.argmin(norms))} moves with no coordinate: its pair is clamped or bonded already"
+        )
+    rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
+    if np.any(rigid):
+        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], np.linalg.solve(model.mass, rows[rigid].T))
+        elastic[rigid] = 0.0
+    return elastic, mobility

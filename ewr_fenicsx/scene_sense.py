@@ -1,0 +1,167 @@
+"""Whether a scene makes sense as a whole: what its entries, each of them right, would mean together.
+
+A contradiction is an error, a doubt a warning. Each says what the scene would mean and what was probably meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ewr_fenicsx.errors import nearest
+from ewr_fenicsx.law_kinds import find_kind, list_parameters
+from ewr_fenicsx.scene_joint import READ_BY, Contact
+
+if TYPE_CHECKING:
+    Scene = Any  # scene.py comes later; it calls these
+
+
+def find_contradictions(scene: Scene) -> Iterator[str]:
+    """What cannot be meant, one sentence each."""
+    yield from _check_harmonics(scene)
+    yield from _check_excitation(scene)
+    yield from _check_laws(scene)
+    yield from _check_wear(scene)
+
+
+def find_doubts(scene: Scene) -> Iterator[str]:
+    """What is allowed but probably not meant, one sentence each."""
+    joint = laws_in_force(scene)
+    static = [name for name, load in scene.loads.items() if load.harmonic == 0]
+    for where, laws in joint.items():
+        if laws.tangential == "coulomb" and laws.friction == 0:
+            yield (
+                f"{where}.friction = 0: friction that never resists, at the cost of its unknowns; "
+                'was tangential = "frictionless" meant?'
+            )
+    opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
+    if opening and not static:
+        yield (
+            f'{opening[0]}.normal = "{joint[opening[0]].normal}", and no load is static: nothing presses the joint '
+            "together, and it gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"
+        )
+    if not oscillating_loads(scene) and len(scene.frequencies) == 1:
+        yield (
+            f"excitation.frequency = {scene.frequencies[0]:g}: no load oscillates, so that it does nothing and the "
+            "joint is solved at rest; was a load with harmonic = 1 forgotten?"
+        )
+    if len(scene.frequencies) > 1 and not scene.outputs:
+        yield (
+            "excitation.frequency is a sweep, and there are no outputs: the curve will hold figures of the contact "
+            "alone; was an [outputs.NAME] forgotten?"
+        )
+    for key, law in (("rho_normal", "unilateral"), ("rho_tangential", "coulomb")):
+        if getattr(scene.solver, key) is not None and not any(law in (c.normal, c.tangential) for c in joint.values()):
+            yield f'solver.{key} = {getattr(scene.solver, key):g} does nothing: no flank has the law "{law}"; remove it'
+
+
+def oscillating_loads(scene: Scene) -> list[str]:
+    """Names of the loads that excite a vibration."""
+    return [name for name, load in scene.loads.items() if load.harmonic > 0]
+
+
+def laws_in_force(scene: Scene) -> dict[str, Contact]:
+    """Where laws come from, as a key of the scene, and the joint's entries as they hold there."""
+    own = {f"flanks.{name}": scene.laws_on(name) for name in scene.flanks}
+    covered = scene.contact.flanks is not None and set(scene.contact.flanks) <= set(scene.flanks)
+    return own if covered else {"contact": scene.contact} | own
+
+
+def can_wear(laws: Contact) -> bool:
+    """Whether the bodies press, part and rub there: what wear needs, and what it changes."""
+    tangential = find_kind("tangential", laws.tangential)
+    return find_kind("normal", laws.normal).opens and "slip" in tangential.histories and not tangential.slides
+
+
+def _check_harmonics(scene: Scene) -> Iterator[str]:
+    for name, load in scene.loads.items():
+        if load.harmonic not in scene.harmonics:
+            yield (
+                f"solver.harmonics = {list(scene.harmonics)} leave out harmonic {load.harmonic}, at which the load "
+                f'"{name}" acts; include it'
+            )
+    static = [name for name, load in scene.loads.items() if load.harmonic == 0]
+    if static and not scene.supports.clamp:
+        yield (
+            f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '
+            "name the boundary that is held"
+        )
+
+
+def _check_excitation(scene: Scene) -> Iterator[str]:
+    oscillating = oscillating_loads(scene)
+    if oscillating and not scene.frequencies:
+        yield (
+            f'excitation.frequency: missing, and the load "{oscillating[0]}" oscillates; give the frequency of '
+            "harmonic 1 [Hz]"
+        )
+    if not oscillating and len(scene.frequencies) > 1:
+        yield (
+            f"excitation.frequency is a sweep over {len(scene.frequencies)} frequencies, and no load oscillates: every "
+            "point would be the same static state; was harmonic = 1 meant in one of the loads?"
+        )
+
+
+def _check_laws(scene: Scene) -> Iterator[str]:
+    joint = laws_in_force(scene)
+    for name in scene.flanks:
+        if scene.contact.flanks is not None and name not in scene.contact.flanks:
+            yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it there"
+    for where, laws in joint.items():
+        if laws.normal == "prescribed" and laws.normal_force is None:
+            yield f'{where}: normal = "prescribed" needs normal_force [N], the force of every pair'
+    reads = lambda laws, law, key: key in list_parameters(law, getattr(laws, law))  # noqa: E731
+    for key, (law, name) in READ_BY.items():
+        if key in scene.contact.model_fields_set and getattr(scene.contact, key) is not None:
+            found = getattr(scene.contact, law)
+            if not any(reads(laws, law, key) for laws in (scene.contact, *joint.values())):
+                yield f"contact: {_say_useless(key, law, found, name)}"
+        for flank, own in scene.flanks.items():
+            found = getattr(joint[f"flanks.{flank}"], law)
+            if getattr(own, key) is not None and not reads(joint[f"flanks.{flank}"], law, key):
+                source = "" if getattr(own, law) else ", as [contact] has it"
+                yield f"flanks.{flank}: {_say_useless(key, law, found, name, source)}"
+
+    known = {
+        n
+        for laws in joint.values()
+        for law in ("normal", "tangential")
+        for n in list_parameters(law, getattr(laws, law))
+    }
+    for where, given in {"contact": scene.contact, **{f"flanks.{n}": own for n, own in scene.flanks.items()}}.items():
+        for name in given.parameters or {}:
+            if name not in known:
+                yield f"{where}.parameters.{name}: no law of the joint takes it{nearest(name, known)}"
+
+
+def _say_useless(key: str, law: str, found: str, name: str, source: str = "") -> str:
+    return f'{key} does nothing with {law} = "{found}"{source}; remove it, or set {law} = "{name}"'
+
+
+def _check_wear(scene: Scene) -> Iterator[str]:
+    for name, own in scene.flanks.items():
+        if own.wear is None:
+            continue
+        if scene.wear is None:
+            yield f"flanks.{name}.wear = {own.wear:g}: nothing wears without [wear], which says for how many cycles"
+        elif own.wear and not can_wear(laws := scene.laws_on(name)):
+            yield (
+                f'flanks.{name}.wear = {own.wear:g}: with normal = "{laws.normal}", tangential = "{laws.tangential}" '
+                f'nothing rubs and opens there; remove it, or set normal = "unilateral" and tangential = "coulomb"'
+            )
+    if scene.wear is None:
+        return
+    if not any(can_wear(laws) for laws in laws_in_force(scene).values()):
+        where, laws = next(iter(laws_in_force(scene).items()))
+        yield (
+            f'wear without friction on a contact that opens: {where} has normal = "{laws.normal}" and tangential = '
+            f'"{laws.tangential}", so that no gap would grow; remove [wear], or set normal = "unilateral" and '
+            'tangential = "coulomb"'
+        )
+    if not oscillating_loads(scene):
+        yield "wear, and no load oscillates: nothing slides; was harmonic = 1 meant in one of the loads?"
+    if len(scene.frequencies) > 1:
+        yield (
+            f"wear and a sweep over {len(scene.frequencies)} frequencies: cycles of which one? Give one frequency, or "
+            "remove [wear]"
+        )

@@ -1,0 +1,134 @@
+"""What a scene asks to be solved: one periodic solution, a frequency sweep, or wear over many cycles.
+
+Sweeps and wear are imported where a scene asks for them, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.newton import solve
+from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import find_idle_harmonics
+
+
+@dataclass(frozen=True)
+class Study:
+    """A scene solved.
+
+    Attributes:
+        solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
+        seconds: Time of each stage.
+        curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
+        told: A few lines for people.
+        write: Writes the study's own files into a folder; collective.
+    """
+
+    solution: PeriodicSolution
+    seconds: Mapping[str, float]
+    curve: tuple[RealArray, RealArray] | None
+    told: str
+    write: Callable[[Path], None]
+
+
+def run_study(chain: Chain, progress: Progress | None = None) -> Study:
+    """Solves what the scene of a chain asks for; collective.
+
+    Raises:
+        EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
+    """
+    watch = Stopwatch(progress)
+    if len(chain.scene.frequencies) > 1:
+        return _sweep(chain, watch)
+    if chain.scene.wear:
+        return _wear(chain, watch)
+    scene = chain.scene
+    with watch.stage("solve"):
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        solution = solve(problem, tolerance=scene.solver.tolerance)
+    return Study(solution, watch.seconds, None, solution.summary(), lambda folder: None)
+
+
+def _sweep(chain: Chain, watch: Stopwatch) -> Study:
+    from ewr_fenicsx.frequency_sweep import frequency_response
+
+    scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
+    idle = find_idle_harmonics(pose_problem(scene, model, chain.interface))
+    kept = tuple(h for h in scene.harmonics if h not in idle.orders)
+    settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
+    with watch.stage("sweep"):
+        curve = frequency_response(
+            model,
+            lay_laws(scene, chain.interface),
+            scene.frequencies,
+            kept,
+            watch.progress is not None,
+            comm=comm,
+            **settings,
+        )
+    if not curve.solutions:
+        raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
+    table = curve.table()
+    series = {name: table[name] for name in table if name.startswith("rms_")} or {"J_T": table["J_T"]}
+    height = next(iter(series.values()))
+    strongest = curve.solutions[int(height.argmax())]
+
+    def write(folder: Path) -> None:
+        from ewr_fenicsx.plots import draw_curves
+
+        if comm.rank:
+            return
+        curve.write_csv(folder / "frequency_response.csv")
+        draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series)
+
+    told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
+    told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
+    told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
+    told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
+    told.append(f"strongest at {strongest.summary()}")
+    return Study(strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+
+
+def _wear(chain: Chain, watch: Stopwatch) -> Study:
+    from ewr_fenicsx.wear import Tolerance, evolve_wear
+
+    scene, interface = chain.scene, chain.interface
+    asked = scene.wear
+    with watch.stage("wear"):
+        history = evolve_wear(
+            pose_problem(scene, chain.reduction.model, interface),
+            asked.cycles,
+            spread_wear(scene, interface),
+            None if asked.tolerance is None else Tolerance(share=asked.tolerance, damped=True),
+            keep_every=max(1, asked.cycles // 100),
+            tolerance=scene.solver.tolerance,
+            progress=watch.progress is not None,
+        )
+
+    def write(folder: Path) -> None:
+        from ewr_fenicsx.plots import draw_curves
+        from ewr_fenicsx.wear_fields import write_wear_fields
+
+        write_wear_fields(folder, chain, history)
+        if chain.mesh.domain.comm.rank:
+            return
+        history.write_csv(folder / "wear.csv")
+        depths = {
+            f"{flank} [µm]": 1e6 * history.depth[:, interface.flank_of_pair == k].mean(axis=1)
+            for k, flank in enumerate(interface.flanks)
+        }
+        draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
+
+    told = [
+        f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
+        f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
+    ]
+    told += [f"  stopped {history.stopped}"] if history.stopped else []
+    last = history.solutions[-1]
+    course = history.cycles, history.depth.mean(axis=1)
+    return Study(last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)

@@ -1,0 +1,156 @@
+"""Every scene of the gallery through `ewr run`, what it claims asserted; its page and pictures; the literate demo."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+
+from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.cli import main
+from ewr_fenicsx.mesh import load_builder
+
+ROOT = Path(__file__).parents[2]
+SCENES = ("friction_damped_beam", "two_blocks", "dovetail", "blade_root", "bolted_lap", "tapping_rod")
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run a scene of the gallery; returns its summary, the rows of its pairs and its folder."""
+
+    def run_scene(name: str) -> tuple[dict, list[dict], Path]:
+        folder = tmp_path / name
+        assert main(["run", str(ROOT / "demos" / f"{name}.toml"), "--out", str(folder)]) == 0
+        summary = json.loads((folder / "summary.json").read_text())
+        assert summary["solution"]["converged"]
+        return summary, read_table(folder / "pairs.csv"), folder
+
+    return run_scene
+
+
+def read_table(path: Path) -> list[dict]:
+    with path.open() as file:
+        return [{k: v if k == "flank" else float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def column(rows: list[dict], name: str) -> np.ndarray:
+    return np.array([row[name] for row in rows])
+
+
+def test_friction_damped_beam(run):
+    """Friction takes most of the energy at the peak and pulls it down; even harmonics are not even kept."""
+    summary, pairs, folder = run("friction_damped_beam")
+    solution = summary["solution"]
+    assert solution["harmonics"] == [0, 1, 3, 5] and solution["unknowns"] == len(pairs) * 7
+    merit = solution["merit"]
+    assert merit["friction_dissipation"] > merit["viscous_dissipation"]
+    assert abs(merit["energy_error"]) < 1e-6
+    assert not (folder / "gap.xdmf").exists(), "a given normal force knows no gap"
+    scene = load_scene(ROOT / "demos" / "friction_damped_beam.toml")
+    chain = build_chain(scene)
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    free = [
+        solve(replace(problem, frequency=f, laws=replace(problem.laws, tangential="frictionless"))).merit["rms_tip"]
+        for f in scene.frequencies
+    ]
+    assert max(column(read_table(folder / "frequency_response.csv"), "rms_tip")) < 0.5 * max(free)
+
+
+def test_two_blocks(run):
+    """It rocks: both heels lift off in a period, never the whole seat; and the seat carries the press."""
+    summary, pairs, _ = run("two_blocks")
+    ends = [pairs[0], pairs[-1]]
+    assert all(0.05 < row["open_share"] < 0.95 for row in ends)
+    assert max(column(pairs, "slip_share")) > 0.1
+    assert column(pairs, "normal_force_mean [N]").sum() == pytest.approx(1000.0, rel=1e-9)
+    assert abs(summary["solution"]["merit"]["energy_error"]) < 1e-3
+
+
+def test_dovetail(run):
+    """The coated flank slips more and wears less; the spin is carried."""
+    summary, pairs, folder = run("dovetail")
+    flank, depth = column(pairs, "flank"), column(pairs, "worn_depth [m]")
+    sliding = column(pairs, "sliding_distance [m/cycle]")
+    assert sliding[flank == "left"].mean() > sliding[flank == "right"].mean() > 1e-6
+    assert depth[flank == "right"].mean() > 1.5 * depth[flank == "left"].mean() > 0
+    history = read_table(folder / "wear.csv")
+    assert history[-1]["cycles"] == 2000 and len(history) < 100, "cycles were jumped"
+    pull = column(pairs, "normal_force_mean [N]") @ column(pairs, "normal_y")
+    pull -= column(pairs, "friction_force_mean [N]") @ column(pairs, "normal_x")
+    assert pull > 1000.0, "the blade pulls outwards"
+    assert {"spin", "shake"} == set(summary["scene"]["loads"])
+
+
+def test_bolted_lap(run):
+    """Partial slip: pairs that stick throughout, pairs that slip for a while, pairs that part."""
+    summary, pairs, _ = run("bolted_lap")
+    stick, slip, open_ = (column(pairs, f"{name}_share") for name in ("stick", "slip", "open"))
+    middle = slice(len(pairs) // 2 - 2, len(pairs) // 2 + 2)
+    assert (stick[middle] == 1).any() and (slip > 0.2).any() and (open_ > 0.5).any()
+    assert abs(stick[middle].mean()) > stick.mean()
+    normal = column(pairs, "normal_force_mean [N]").sum()
+    assert normal == pytest.approx(5000.0, rel=0.1), "the bolt's force flows through the lap"
+    assert summary["solution"]["unknowns"] == 2 * len(pairs) * 11
+
+
+def test_tapping_rod(run):
+    """It touches for a part of the period, hardly penetrates, and pushes."""
+    summary, pairs, _ = run("tapping_rod")
+    assert all(0.3 < row["open_share"] < 0.95 for row in pairs)
+    assert all(row["gap_max [m]"] > 20e-6 for row in pairs), "it swings back beyond where it rests"
+    assert summary["solution"]["merit"]["penetration"] < 0.1 * 20e-6
+    assert column(pairs, "normal_force_mean [N]").sum() > 10
+    assert summary["solution"]["unknowns"] == len(pairs) * 19, "no tangential unknown"
+
+
+def test_the_page_shows_every_scene():
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    for name in SCENES:
+        assert f"`ewr run demos/{name}.toml`" in page, "run: python demos/draw_gallery.py"
+        picture = ROOT / "docs" / "pictures" / f"gallery_{name}.png"
+        assert picture.is_file() and picture.stat().st_size < 100_000
+        assert f"(pictures/{picture.name})" in page
+        assert load_scene(ROOT / "demos" / f"{name}.toml").title in page
+
+
+def test_choose_your_effects_runs_and_its_assertions_hold():
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "demos" / "choose_your_effects.py")],
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    table = done.stdout[done.stdout.index("effects ") :].splitlines()
+    assert len(table) == 11 and table[1].split()[:2] == ["bonded", "0"]
+
+
+@pytest.mark.parametrize(
+    "builder, parameters, message",
+    [
+        ("two_blocks", {"width": 0.1}, "lower_width = 0.08: expected more than width = 0.1"),
+        ("two_blocks", {"pairs": 1}, "pairs = 1: expected at least 2"),
+        ("two_blocks", {"height": -1.0}, "height = -1.0: expected a positive number"),
+        ("end_contact", {"tip_length": 0.2}, "tip_length = 0.2: expected less than length = 0.2"),
+        ("end_contact", {"pairs": 1}, "pairs = 1: expected at least 2"),
+        ("lap_joint", {"overlap": 0.01}, "overlap = 0.01: expected between washer"),
+        ("lap_joint", {"pairs": 3}, "pairs = 3: expected at least 4"),
+    ],
+)
+def test_builders_name_the_parameter_that_makes_no_sense(builder, parameters, message):
+    gmsh.initialize(["", "-nopopup"], False)
+    try:
+        with load_builder(ROOT / "geometry" / f"{builder}.py") as module, pytest.raises(ValueError, match=message):
+            module.build(**parameters)
+    finally:
+        gmsh.finalize()

@@ -1,0 +1,328 @@
+"""Scenes as a whole: flanks with laws of their own, what contradicts itself, what was probably not meant."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
+from ewr_fenicsx.effects import list_effects
+from ewr_fenicsx.errors import SceneError, SceneWarning
+from ewr_fenicsx.scene import Scene, load_scene
+from ewr_fenicsx.scene_reference import write_schema
+
+ROOT = Path(__file__).parents[2]
+PULL = "[loads.pull]\nboundary = 'tip'\nforce = [0, 20e3]\n"
+SHAKE = "[loads.shake]\nboundary = 'tip'\nforce = [50, 0]\nharmonic = 1\n"
+HEAD = "[geometry]\nsource = 'builder.py'\n"
+AT = "[excitation]\nfrequency = 1000\n"
+SCENE = HEAD + PULL + SHAKE + AT
+JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write a scene beside a builder and load it."""
+    (tmp_path / "builder.py").write_text("def build(): ...")
+
+    def write_and_load(text: str, warn: bool = False) -> Scene:
+        (tmp_path / "scene.toml").write_text(text)
+        return load_scene(tmp_path / "scene.toml", warn=warn)
+
+    return write_and_load
+
+
+def test_flanks_have_what_the_contact_says_and_what_is_special(read):
+    scene = read(
+        SCENE + "[contact]\nfriction = 0.3\n[flanks.left]\ntangential = 'bonded'\nnormal = 'bonded'\n"
+        "[flanks.top]\nfriction = 0.5\ninitial_gap = 2e-6\n"
+    )
+    (left, bonded), (right, usual), (top, special) = lay_laws(scene, JOINT)
+    assert (left, right, top) == ([0, 1], [2, 3, 4], [5])
+    assert (bonded.normal, bonded.tangential) == ("bonded", "bonded")
+    assert (usual.normal, usual.tangential, usual.friction, usual.initial_gap) == ("unilateral", "coulomb", 0.3, 0.0)
+    assert (special.normal, special.friction, special.initial_gap) == ("unilateral", 0.5, 2e-6)
+
+
+def test_flanks_with_the_same_laws_are_one_group(read):
+    scene = read(
+        SCENE + "[flanks.left]\nfriction = 0.5\n[flanks.top]\nfriction = 0.5\n[flanks.right]\nfriction = 0.2\n"
+    )
+    assert [pairs for pairs, _ in lay_laws(scene, JOINT)] == [[0, 1, 5], [2, 3, 4]]
+    assert lay_laws(read(SCENE)).friction == 0.2, "one law for all: no groups, and no interface needed"
+    with pytest.raises(SceneError, match="flanks have laws of their own; give pose_problem the chain's interface"):
+        lay_laws(scene)
+
+
+def test_unknown_flanks_are_named(read):
+    with pytest.raises(SceneError, match=r'flanks\.lefd: the joint has no flank of that name.*did you mean "left"\?'):
+        check_flanks(read(SCENE + "[flanks.lefd]\nfriction = 0.1\n"), JOINT)
+
+
+def test_wear_coefficients_by_flank(read):
+    wear = "[wear]\ncoefficient = 2e-11\n"
+    scene = read(SCENE + wear + "[flanks.left]\ntangential = 'bonded'\n[flanks.top]\nwear = 5e-11\n")
+    np.testing.assert_array_equal(spread_wear(scene, JOINT), [0, 0, 2e-11, 2e-11, 2e-11, 5e-11])
+    np.testing.assert_array_equal(spread_wear(read(SCENE), JOINT), np.zeros(6))
+    none = read(SCENE + wear + "[flanks.right]\nwear = 0\n")
+    np.testing.assert_array_equal(spread_wear(none, JOINT), [2e-11, 2e-11, 0, 0, 0, 2e-11])
+
+
+@pytest.mark.parametrize(
+    "frequency, expected",
+    [
+        ("1000", (1000.0,)),
+        ("[900, 1000, 1100]", (900.0, 1000.0, 1100.0)),
+        ("{ from = 900, to = 1100, points = 5 }", (900.0, 950.0, 1000.0, 1050.0, 1100.0)),
+    ],
+)
+def test_frequencies(read, frequency, expected):
+    scene = read(HEAD + PULL + SHAKE + f"[excitation]\nfrequency = {frequency}\n")
+    assert scene.frequencies == expected
+    again = Scene.model_validate(json.loads(scene.model_dump_json(by_alias=True)))
+    assert again.model_dump() == scene.model_dump() and again.frequencies == expected
+
+
+def test_a_static_scene_needs_no_frequency(read):
+    scene = read(HEAD + PULL)
+    assert scene.frequencies == () and scene.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            SCENE + "[wear]\n[contact]\ntangential = 'frictionless'",
+            'wear without friction on a contact that opens: contact has normal = "unilateral" and tangential = '
+            '"frictionless"',
+        ),
+        (SCENE + "[wear]\n[contact]\nnormal = 'bonded'\ntangential = 'bonded'", "remove [wear], or set normal"),
+        (
+            SCENE + "[wear]\n[flanks.left]\ntangential = 'bonded'\nwear = 1e-11",
+            'flanks.left.wear = 1e-11: with normal = "unilateral", tangential = "bonded" nothing rubs and opens there',
+        ),
+        (SCENE + "[flanks.left]\nwear = 1e-11", "flanks.left.wear = 1e-11: nothing wears without [wear]"),
+        (HEAD + PULL + "[wear]\n", "wear, and no load oscillates: nothing slides; was harmonic = 1 meant"),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 1000]\n[wear]\n",
+            "wear and a sweep over 2 frequencies: cycles of which one?",
+        ),
+        (
+            SCENE + "[flanks.left]\ntangential = 'bonded'\nfriction = 0.4",
+            'flanks.left: friction does nothing with tangential = "bonded"; remove it, or set tangential = "coulomb"',
+        ),
+        (
+            SCENE + "[contact]\ntangential = 'bonded'\n[flanks.left]\nfriction = 0.4",
+            'flanks.left: friction does nothing with tangential = "bonded", as [contact] has it; remove it',
+        ),
+        (
+            SCENE + "[contact]\ntangential = 'bonded'\nfriction = 0.4",
+            'contact: friction does nothing with tangential = "bonded"',
+        ),
+        (SCENE + "[flanks.left]\nnormal = 'prescribed'", 'flanks.left: normal = "prescribed" needs normal_force [N]'),
+        (
+            SCENE + "[contact]\nflanks = ['left']\n[flanks.top]\nfriction = 0.4",
+            "flanks.top: contact.flanks = ['left'] leave this flank out; add it there",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = [1000]",
+            "excitation.frequency = [1000]: a sweep over one point; write frequency = 1000",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 900, points = 7 }",
+            "a sweep over one point; write frequency = 900",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 950, points = 1 }",
+            "excitation.frequency.points = 1: should be greater than or equal to 2",
+        ),
+        (HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 900]", "should be frequencies that rise"),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 950, to = 900, points = 3 }",
+            "from should be below to",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { form = 900, to = 950, points = 2 }",
+            'excitation.frequency.form = 900: unknown key; did you mean "from"?',
+        ),
+        (
+            HEAD + PULL + "[excitation]\nfrequency = [900, 1000]",
+            "excitation.frequency is a sweep over 2 frequencies, and no load oscillates: every point would be the same",
+        ),
+        (HEAD + PULL + SHAKE, 'excitation.frequency: missing, and the load "shake" oscillates'),
+        (
+            SCENE + "[supports]\nclamp = []",
+            'supports.clamp = []: nothing carries the static load "pull"',
+        ),
+        (
+            SCENE + "[solver]\nharmonics = [0, 2]",
+            'solver.harmonics = [0, 2] leave out harmonic 1, at which the load "shake" acts; include it',
+        ),
+        (SCENE + "[solver]\nharmonics = 0", "solver.harmonics = [0] leave out harmonic 1"),
+    ],
+)  # fmt: skip
+def test_contradictions_are_errors_that_say_what_was_meant(read, text, expected):
+    with pytest.raises(SceneError) as caught:
+        read(text)
+    assert expected in str(caught.value)
+
+
+def test_all_contradictions_come_at_once(read):
+    with pytest.raises(SceneError, match="2 mistakes"):
+        read(SCENE + "[solver]\nharmonics = [1]\n[flanks.left]\nwear = 1e-11")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (SCENE + "[contact]\nfriction = 0", 'contact.friction = 0: friction that never resists.*"frictionless" meant'),
+        (SCENE + "[flanks.left]\nfriction = 0", "flanks.left.friction = 0: friction that never resists"),
+        (HEAD + SHAKE + AT, 'contact.normal = "unilateral", and no load is static: nothing presses the joint together'),
+        (HEAD + PULL + AT, "excitation.frequency = 1000: no load oscillates, so that it does nothing"),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 1000]",
+            "excitation.frequency is a sweep, and there are no outputs",
+        ),
+        (
+            SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[solver]\nrho_normal = 1e9",
+            'solver.rho_normal = 1e[+]09 does nothing: no flank has the law "unilateral"',
+        ),
+        (
+            SCENE + "[contact]\ntangential = 'bonded'\n[solver]\nrho_tangential = 1e-9",
+            'solver.rho_tangential = 1e-09 does nothing: no flank has the law "coulomb"',
+        ),
+    ],
+)  # fmt: skip
+def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expected):
+    with pytest.warns(SceneWarning, match=expected):
+        scene = read(text, warn=True)
+    assert len(scene.doubts) == 1
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("demos/*.toml")), ids=lambda path: path.stem)
+def test_demo_scenes_raise_no_doubts(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert load_scene(path).doubts == ()
+
+
+OWN_LAW = """
+from dataclasses import dataclass
+from ewr_fenicsx.law_kinds import LawKind, register_law
+
+@register_law("tangential", "greased")
+@dataclass(frozen=True)
+class Greased(LawKind):
+    viscosity: float
+    histories = ("slip",)
+"""
+
+
+def test_scenes_may_bring_laws_of_their_own(read, tmp_path):
+    (tmp_path / "grease.py").write_text(OWN_LAW)
+    own = "[contact]\nlaw_files = ['grease.py']\n[flanks.left]\ntangential = 'greased'\n"
+    own += "parameters = { viscosity = 3.0 }\n"
+    scene = read(SCENE + own)
+    (left, greased), (_, usual) = lay_laws(scene, JOINT)
+    assert left == [0, 1] and greased.kinds[1].viscosity == 3.0
+    assert usual.tangential == "coulomb" and usual.parameters == {}
+    assert read(SCENE + own).laws_on("left").tangential == "greased", "reading it again does no harm"
+    with pytest.raises(
+        SceneError, match=r'parameters\.viscosty: no law of the joint takes it; did you mean "viscosity"'
+    ):
+        read(SCENE + own.replace("viscosity =", "viscosty ="))
+    with pytest.raises(SceneError, match=r'flanks\.left: friction does nothing with tangential = "greased"'):
+        read(SCENE + own + "friction = 0.2\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("tangential = 'coulombe'", r"contact\.tangential = 'coulombe': should be one of .*did you mean \"coulomb\""),
+        ("law_files = ['nowhere.py']", r"nowhere\.py cannot be run: FileNotFoundError"),
+        ("law_files = ['broken.py']", r"broken\.py cannot be run: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_mistakes_in_own_laws_are_named(read, tmp_path, text, expected):
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(SceneError, match=expected):
+        read(SCENE + "[contact]\n" + text)
+
+
+def test_effects_of_mixed_scenes_say_where_they_come_from(read):
+    scene = read(
+        HEAD + PULL + SHAKE + "[excitation]\nfrequency = 1000\n[wear]\ncycles = 500\n"
+        "[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n[flanks.top]\nfriction = 0.5\n"
+    )
+    effects = {effect.name: effect for effect in list_effects(scene)}
+    assert effects["bonded parts"].why == 'flanks.left.normal = "bonded"; flanks.left.tangential = "bonded"'
+    assert effects["friction"].why == (
+        'contact.tangential = "coulomb", friction = 0.2; flanks.top.tangential = "coulomb", friction = 0.5'
+    )
+    assert effects["mixed flanks"].why == "[flanks.left], [flanks.top]"
+    assert effects["wear"].on and effects["wear"].why.endswith("500 cycles, on contact, flanks.top")
+    assert not effects["frequency sweep"].on
+    sweep = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 1000, points = 11 }\n")
+    why = {e.name: e.why for e in list_effects(sweep) if e.on}["frequency sweep"]
+    assert why == "11 frequencies, 900 to 1000 Hz"
+
+
+def facts(schema: dict) -> dict:
+    """What a schema says, apart from titles and the order and form that another pydantic may choose."""
+    tables = {"": schema} | schema["$defs"]
+    return {
+        f"{name}.{key}": {k: v for k, v in entry.items() if k in ("default", "unit", "description", "enum", "minimum")}
+        for name, table in tables.items()
+        for key, entry in table["properties"].items()
+    } | {f"{name} requires": sorted(table.get("required", [])) for name, table in tables.items()}
+
+
+def test_schema_file_is_the_one_generated_from_the_definition():
+    written = json.loads((ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8"))
+    assert facts(written) == facts(json.loads(write_schema())), "run: python -m ewr_fenicsx.scene_reference docs"
+
+
+def find_table(schema: dict, entry: dict, value: dict) -> dict | None:
+    """The table definition that an entry leads to for a value."""
+    for part in [entry, *entry.get("anyOf", []), *entry.get("oneOf", [])]:
+        if "$ref" in part:
+            table = schema["$defs"][part["$ref"].rsplit("/", 1)[1]]
+            kind = table["properties"].get("kind", {})
+            if "kind" not in value or value["kind"] in (kind.get("const"), *kind.get("enum", [])):
+                return table
+    return None
+
+
+def check_keys(schema: dict, table: dict, data: dict, path: str = "") -> None:
+    assert set(table.get("required", [])) <= set(data), path
+    for key, value in data.items():
+        assert key in table["properties"], f"{path}{key}"
+        if not isinstance(value, dict) or key == "parameters":
+            continue
+        entry = table["properties"][key]
+        if (named := entry.get("additionalProperties")) is not None:
+            for name, inner in value.items():
+                check_keys(schema, find_table(schema, named, inner), inner, f"{path}{key}.{name}.")
+        else:
+            check_keys(schema, find_table(schema, entry, value), value, f"{path}{key}.")
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("demos/*.toml")), ids=lambda path: path.stem)
+def test_demo_scenes_follow_the_schema_that_they_name(path):
+    text = path.read_text(encoding="utf-8")
+    first = text.splitlines()[0]
+    named = first.removeprefix("#:schema ") if first.startswith("#:schema ") else "../docs/scene.schema.json"
+    schema = json.loads((path.parent / named).read_text(encoding="utf-8"))
+    check_keys(schema, schema, tomllib.loads(text))
+
+
+def test_most_demo_scenes_name_the_schema():
+    """So that editors help with the first scene that someone opens."""
+    named = {p.stem for p in ROOT.glob("demos/*.toml") if p.read_text(encoding="utf-8").startswith("#:schema ")}
+    assert {"blade_root", "two_blocks", "dovetail", "bolted_lap", "tapping_rod", "friction_damped_beam"} <= named
