@@ -274,9 +274,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="1080 sampled cases a model")
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS), help="which models [all]")
     parser.add_argument("--seed", type=int, default=1, help="of the sample [1]")
-    parser.add_argument(
-        "--cap", type=float, default=20.0, help="processor seconds for a sampled case [20]"
-    )
+    parser.add_argument("--cap", type=float, default=20.0, help="processor seconds for a sampled case [20]")
     parser.add_argument("--jobs", type=int, default=1, help="processes [1]")
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/hard_cases.json]")
     parser.add_argument("--progress", action="store_true", help="print each case as it ends")

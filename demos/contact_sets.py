@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from study import AGREES, DIFFERS, RESULTS, judge, report, timed
+from study import AGREES, DIFFERS, OPEN, RESULTS, judge, report, timed
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -115,11 +115,10 @@ def compare(figures: dict) -> list:
     return [
         judge(
             "Overall, the method demonstrates strong agreement with the true contact sets.",
-            fine["signorini_max"] < 0.1 and fine["coulomb_rms"] < 0.1,
-            f"500 Hz, N = 15: distance from Signorini's set at most {fine['signorini_max']:.3f} and from Coulomb's "
-            f"{fine['coulomb_max']:.2f} (rms {fine['coulomb_rms']:.3f}) in the units of the text. The largest "
-            f"distances "
-            "are where slip sets in and ends.",
+            None,  # the paper gives no measure
+            f"The paper gives no measure. At 500 Hz, N = 15, ours lies at most {fine['signorini_max']:.3f} from "
+            f"Signorini's set and {fine['coulomb_max']:.2f} from Coulomb's (rms {fine['coulomb_rms']:.3f}), in the "
+            "units of the text.",
         ),
         judge(
             "Minute differences are attributed to the Gibbs phenomenon.",
@@ -136,8 +135,7 @@ def compare(figures: dict) -> list:
             f"Left and right are each other's mirror image. But at 500 Hz the top flanks slide up to "
             f"{sliding.max():.0f} micrometres a cycle and open by {gap.max():.1f}, the bottom ones "
             f"{np.max(bottom['sliding_um']):.0f} "
-            f"and {np.max(bottom['largest_gap_um']):.1f}: on our root the upper lobes take most of the blade's "
-            f"bending.",
+            f"and {np.max(bottom['largest_gap_um']):.1f}.",
         ),
         judge(
             "The root interface exhibits greater separation near its outer edge.",
@@ -213,7 +211,7 @@ def check(figures: dict, verdicts: list) -> None:
         left, right = figures[f"dynamic, {flank}_left"], figures[f"dynamic, {flank}_right"]
         np.testing.assert_allclose(left["sliding_um"], right["sliding_um"], rtol=1e-3)
     found = [v.verdict for v in verdicts]
-    assert found == [AGREES, AGREES, DIFFERS, DIFFERS, DIFFERS, AGREES]
+    assert found == [OPEN, AGREES, DIFFERS, DIFFERS, DIFFERS, AGREES]
 
 
 # %%

@@ -129,9 +129,7 @@ def compare(figures: dict, friction) -> list:
         judge(
             "Adjacent (left and right) surfaces differ; the left-most wear more.",
             sides > 0.01,
-            f"Ours differ by {sides:.1e}: this sector is its own mirror image and the shaker has no side. Rounding "
-            f"alone breaks "
-            "the symmetry, and wear does not amplify it.",
+            f"Ours differ by {sides:.1e}: this sector is its own mirror image, and the shaker has no side.",
         ),
     ]
 

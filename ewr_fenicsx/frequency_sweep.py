@@ -8,7 +8,6 @@ from the former. So the curve is the one that a single sweep would give, however
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,7 +26,16 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import Record, fingerprint, read_records, replace_file, restore, strip, write_records
+from ewr_fenicsx.solution_store import (
+    Record,
+    fingerprint,
+    read_records,
+    replace_file,
+    restore,
+    strip,
+    write_records,
+    write_table,
+)
 from ewr_fenicsx.task_sharing import share_tasks
 
 BLOCK = 6  # given frequencies a block
@@ -88,11 +96,7 @@ class FrequencyResponse:
 
     def write_csv(self, path: str | Path) -> None:
         """Write ``table`` as CSV, a row a solution."""
-        columns = self.table()
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
+        write_table(path, self.table())
 
     def write(self, group: h5py.Group) -> None:
         """Write forces, rigid coordinates, table and breaks to an HDF5 group."""

@@ -5,6 +5,7 @@ Files are complete or not there: they are written under another name and take th
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import os
@@ -94,6 +95,14 @@ def replace_file(path: Path) -> Iterator[h5py.File]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def write_table(path: str | Path, columns: Mapping[str, RealArray]) -> None:
+    """Write columns ``(n,)`` as CSV with a header, floats to the last digit."""
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
 
 
 def fingerprint(*stated: object) -> str:

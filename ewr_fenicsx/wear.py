@@ -11,7 +11,6 @@ Source: Verwer et al. (1999), doi:10.1137/S1064827597326651, for ROS2, of order 
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +27,7 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import fingerprint
+from ewr_fenicsx.solution_store import fingerprint, write_table
 from ewr_fenicsx.wear_store import WearFile, WearState, WearStep
 
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
@@ -140,11 +139,7 @@ class WearHistory:
 
     def write_csv(self, path: str | Path) -> None:
         """Write ``table`` as CSV, a row a step."""
-        columns = self.table()
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
+        write_table(path, self.table())
 
 
 def evolve_wear(

@@ -14,7 +14,8 @@ from small_models import dovetail, winkler_punch
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, UnheldBody
+from ewr_fenicsx.following import solve_from
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 MEAN_PRESSURE = LOAD / (PAIRS * AREA)
@@ -199,6 +200,24 @@ def test_wear_stops_at_a_given_depth():
     assert history.depth[-1].max() > 1e-7 > history.depth[-2].max()
     assert "more than 1e-07 m" in history.stopped
     assert history.stopped.startswith(f"after {history.cycles[-1]} cycles")
+
+
+@pytest.mark.parametrize("jump", [None, Tolerance()])
+def test_wear_ends_where_the_joint_no_longer_carries_its_load(monkeypatch, jump):
+    """Small displacements leave every worn joint an equilibrium, so the solver is made to find none past a depth."""
+    from ewr_fenicsx import wear
+
+    def give_way(problem, *args, **kwargs):
+        if problem.wear.max() > 1e-7:
+            raise UnheldBody("nothing holds a floating body", ())
+        return solve_from(problem, *args, **kwargs)
+
+    monkeypatch.setattr(wear, "solve_from", give_way)
+    history = evolve_wear(punch(CROWN), 500, COEFFICIENT, jump)
+    assert 0.9e-7 < history.depth[-1].max() <= 1e-7 and history.cycles[-1] < 500
+    assert history.stopped == (
+        f"after {history.cycles[-1]} cycles: the joint no longer carries its load: nothing holds a floating body"
+    )
 
 
 def test_wear_goes_on_from_a_worn_joint():
