@@ -301,7 +301,7 @@ def solve_to_accuracy(
     *,
     highest: int = 63,
     most_unknowns: int = 8000,
-    modes: float = np.nan,
+    modes: Sequence[int] = (),
 ) -> AccurateSolution:
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
@@ -315,7 +315,8 @@ def solve_to_accuracy(
         tolerance: Largest residual norm of each solve.
         highest: Highest harmonic that may be used.
         most_unknowns: Unknowns a solve may have.
-        modes: Estimated error by the reduced model's modes, which no solve can mend; NaN: not looked at.
+        modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
+            estimated; no solve can mend it. None: it is not looked at.
 
     Returns:
         The last solution. What could not be reached is said by ``reached`` and ``limit``.
@@ -348,7 +349,7 @@ def solve_to_accuracy(
         if estimate.total <= accuracy:
             break
         if estimate.dominating == "modes":
-            limit = f"the reduced model's modes alone are thought to be wrong by {modes:.1g}; keep more modes"
+            limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
         elif estimate.dominating == "samples":
             density *= 2
         else:
@@ -375,10 +376,12 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
 
 
 def judge(
-    solution: PeriodicSolution, before: PeriodicSolution | None, levels: Sequence[Level], modes: float
+    solution: PeriodicSolution, before: PeriodicSolution | None, levels: Sequence[Level], modes: Sequence[int]
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the level before counts as well where it tells of larger ones."""
-    estimate = replace(estimate_errors(solution), modes=modes)
+    estimate = estimate_errors(solution)
+    if len(modes):
+        estimate = replace(estimate, modes=estimate_modes(solution, modes))
     if before is None or levels[-1].orders[-1] == solution.orders[-1]:
         return estimate
     growth = solution.orders[-1] / max(1, levels[-1].orders[-1])
