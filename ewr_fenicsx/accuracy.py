@@ -31,6 +31,7 @@ from ewr_fenicsx.symmetry import leave_out_idle
 FIRST_ORDER = 3  # highest harmonic of the first solve
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, until it is observed
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
+LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 SAMPLES = 8  # a highest harmonic, to begin with
 LEAST_SAMPLES = 64
@@ -175,7 +176,7 @@ def step_towards(solution: PeriodicSolution, problem: ContactProblem) -> float:
 def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:
     """The problem with all harmonics up to half as high again, or with ``orders``, and samples to match."""
     highest = problem.basis.orders[-1]
-    chosen = tuple(range(highest + highest // 2 + 2)) if orders is None else orders
+    chosen = tuple(range(highest + max(highest // 2 + 2, LEAST_LOOKAHEAD))) if orders is None else orders
     density = problem.basis.samples / max(1, highest)
     return replace(problem, harmonics=chosen, samples=choose_samples(chosen[-1], density))
 
