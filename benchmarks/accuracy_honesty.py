@@ -4,11 +4,11 @@
     .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
 
 Cases: the sample of `hard_cases.py` (default weights) on the two small models, and the demo's blade root at five
-states. Those where no pair ever slips or lifts off are linear and exact with any setting: they are counted, and left out of the
-shares. The reference is time stepping to the steady state at two step sizes, extrapolated; a harmonic solve of high
-order, and that alone where time stepping has not settled. Where the two differ by more than a third of the smallest
-accuracy asked, neither counts as a reference, and the case is listed: lightly damped contact nodes with a mass of their
-own may chatter, and a problem may have several solutions.
+states. Those where no pair ever slips or lifts off are linear and exact with any setting: they are counted, and left
+out of the shares. The reference is time stepping to the steady state at two step sizes, extrapolated; a harmonic solve
+of high order, where time stepping has not settled. Where the two differ by more than a third of the smallest accuracy
+asked, neither counts as a reference, and the case is listed: lightly damped contact nodes with a mass of their own may
+chatter, and a problem may have several solutions.
 
 The cheapest fixed setting is found by trying: orders, both friction weights and two densities of samples, from cold;
 the cheapest counts whose true error meets the accuracy, which a user could not know. Times are the process's own (CPU).

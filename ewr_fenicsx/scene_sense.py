@@ -96,8 +96,8 @@ def _check_accuracy(scene: Scene) -> Iterator[str]:
     if len(scene.frequencies) > 1 or scene.wear:
         study = "a sweep" if len(scene.frequencies) > 1 else "wear"
         yield (
-            f"solver.accuracy = {asked:g} is for a single periodic solution, and this scene asks for {study}; run it at "
-            "one frequency without wear, where the response is strongest, and give the harmonics that it chose"
+            f"solver.accuracy = {asked:g} is for a single periodic solution, and this scene asks for {study}; run it "
+            "at one frequency without wear, where the response is strongest, and give the harmonics that it chose"
         )
 
 
