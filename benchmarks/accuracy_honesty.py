@@ -3,10 +3,10 @@
     .venv/bin/python benchmarks/accuracy_honesty.py              some eight minutes on one core
     .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
 
-Cases: the sample of `hard_cases.py` (default weights) on the two small models, and the demo's blade root at five
+Cases: the sample of `hard_cases.py` (default weights) on the two small models, and the demo's blade root at three
 states. Those where no pair ever slips or lifts off are linear and exact with any setting: they are counted, and left
 out of the shares. The reference is time stepping to the steady state at two step sizes, extrapolated; a harmonic solve
-of high order, where time stepping has not settled. Where the two differ by more than a third of the smallest accuracy
+of high order where time stepping has not settled. Where the two differ by more than a third of the smallest accuracy
 asked, neither counts as a reference, and the case is listed: lightly damped contact nodes with a mass of their own may
 chatter, and a problem may have several solutions.
 
@@ -36,10 +36,11 @@ from ewr_fenicsx.solution import PeriodicSolution
 
 ACCURACIES = (0.1, 0.03, 0.01)
 ORDERS = (3, 5, 8, 12, 18, 27, 40)
+MOST_UNKNOWNS = 3500  # of fixed settings and references
 HIGH_ORDER = 47
 STEPS = (800, 1600)
 LINEAR = 1e-6  # error of one harmonic below which nothing slips or lifts off
-BLADE = ((900.0, 0.2, 1.0), (1000.0, 0.2, 1.0), (1060.0, 0.4, 1.0), (1200.0, 0.2, 1.0), (2400.0, 0.1, 2.0))
+BLADE = ((900.0, 0.2, 1.0), (1000.0, 0.2, 1.0), (1200.0, 0.2, 1.0))
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ def find_reference(problem: ContactProblem, cap: float) -> Reference | None:
     try:
         with limit_work(cap):
             start = solve(replace(problem, harmonics=15))
-            high = solve(replace(problem, harmonics=HIGH_ORDER, samples=16 * HIGH_ORDER), start=start)
+            if 2 * HIGH_ORDER * problem.system.rows.shape[0] <= MOST_UNKNOWNS:
+                high = solve(replace(problem, harmonics=HIGH_ORDER, samples=16 * HIGH_ORDER), start=start)
     except (CapReached, EwrError) as error:
         print(f"         no harmonic reference: {type(error).__name__}")  # time stepping may still get there
     spectrum = replace(problem, harmonics=HIGH_ORDER)
@@ -111,6 +113,8 @@ def try_fixed(problem: ContactProblem, reference: np.ndarray, cap: float) -> lis
     for weight in ("default", "mobility"):
         for density in (SAMPLES, 32):
             for n in ORDERS:
+                if 2 * n * problem.system.rows.shape[0] > MOST_UNKNOWNS:
+                    break
                 posed = replace(problem, harmonics=n, samples=choose_samples(n, density))
                 begin = time.process_time()
                 try:
@@ -225,7 +229,7 @@ HEADER += ["cost over cheapest, median", "at most 2.5, %", "largest"]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=24, help="sampled cases a small model [24]")
-    parser.add_argument("--blade", type=int, default=len(BLADE), help="states of the blade root [5]")
+    parser.add_argument("--blade", type=int, default=len(BLADE), help="states of the blade root [3]")
     parser.add_argument("--seed", type=int, default=11, help="of the sample [11]")
     parser.add_argument("--cap", type=float, default=12.0, help="processor seconds a solve [12]")
     parser.add_argument("--quick", action="store_true", help="4 sampled cases a model, no blade root")
@@ -233,7 +237,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.quick:
         arguments.cases, arguments.blade = 4, 0
-    machine, cases = describe_machine(), []
+    content: dict[str, object] = {"machine": describe_machine(), "seed": arguments.seed, "header": HEADER}
+    cases: list[dict] = []
     begin = time.perf_counter()
     for name, pose in list_cases(arguments.cases, arguments.blade, arguments.seed):
         case = run_case(name, pose(), arguments.cap)
@@ -243,15 +248,12 @@ def main() -> None:
             for r in case.get("asked", [])
         ]
         print(f"{time.perf_counter() - begin:6.0f} s  {name}: {case['kind']}", *told, sep="; ", flush=True)
-    table = summarise(cases)
+        table = summarise(cases)
+        kinds = {kind: sum(c["kind"] == kind for c in cases) for kind in dict.fromkeys(c["kind"] for c in cases)}
+        content |= {"kinds": kinds, "table": table, "cases": cases, "seconds": time.perf_counter() - begin}
+        write_json("accuracy_honesty", content, arguments.output)  # at once: the last cases are the slow ones
     print_table("Asked, and what came out", HEADER, table)
-    kinds = {kind: sum(c["kind"] == kind for c in cases) for kind in dict.fromkeys(c["kind"] for c in cases)}
     print("\n" + ", ".join(f"{count} {kind}" for kind, count in kinds.items()))
-    write_json(
-        "accuracy_honesty",
-        {"machine": machine, "seed": arguments.seed, "kinds": kinds, "header": HEADER, "table": table, "cases": cases},
-        arguments.output,
-    )
 
 
 if __name__ == "__main__":

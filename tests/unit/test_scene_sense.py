@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -277,3 +278,26 @@ def test_demo_scenes_name_the_schema_and_follow_it(path):
     assert first.startswith("#:schema ")
     schema = json.loads((path.parent / first.removeprefix("#:schema ")).read_text(encoding="utf-8"))
     check_keys(schema, schema, tomllib.loads(text))
+
+
+@pytest.mark.parametrize(
+    ("solver", "more", "told"),
+    [
+        ("accuracy = 0.01\nharmonics = 9", "", "accuracy = 0.01 chooses harmonics itself; give one of the two"),
+        ("accuracy = 0.01\nsamples = 99", "", "accuracy = 0.01 chooses samples itself; give one of the two"),
+        ("accuracy = 0.01", "[wear]\ncycles = 5", "for a single periodic solution, and this scene asks for wear"),
+    ],
+)
+def test_an_accuracy_takes_the_place_of_what_it_chooses(read, solver, more, told):
+    with pytest.raises(SceneError, match=re.escape(told)):
+        read(f"{SCENE}[solver]\n{solver}\n{more}")
+
+
+def test_an_accuracy_is_for_one_frequency(read):
+    with pytest.raises(SceneError, match="this scene asks for a sweep"):
+        read(SCENE.replace("1000", "[900, 1000]") + "[solver]\naccuracy = 0.01")
+
+
+def test_with_an_accuracy_loads_may_have_any_harmonic(read):
+    scene = read(SCENE.replace("harmonic = 1", "harmonic = 7") + "[solver]\naccuracy = 0.01")
+    assert scene.solver.accuracy == 0.01

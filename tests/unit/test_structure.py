@@ -24,7 +24,8 @@ ORDER = [
     "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene_entries",
     "scene_joint", "scene_sense", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
-    "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output", "study", "cli", "__main__",
+    "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output", "study", "cost_report",
+    "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
