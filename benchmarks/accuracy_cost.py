@@ -15,6 +15,7 @@ process's own (CPU), medians of three from cold; compilation and what is compute
 from __future__ import annotations
 
 import argparse
+import json
 import resource
 import time
 import tracemalloc
@@ -27,7 +28,7 @@ import numpy as np
 from hard_cases import Case, pose_case
 from models import ROOT
 from mpi4py import MPI
-from reporting import describe_machine, print_table, write_json
+from reporting import RESULTS, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import choose_harmonics, compare_responses
@@ -125,8 +126,8 @@ def turn_structure(quick: bool) -> list[dict]:
         "mesh size [mm], degree 2": [
             (1e3 * v, {"geometry": size(v), "elasticity": degree(2)}) for v in MESH_SIZES[: 2 if quick else 3]
         ],
-        "pairs a flank": [
-            (v, {"geometry": size(1.4e-3 * 10 / max(10, v), pairs=v)}) for v in PAIRS[: 3 if quick else 4]
+        "pairs a flank, mesh 0.7 mm": [
+            (v, {"geometry": size(MESH_SIZES[-1], pairs=v)}) for v in PAIRS[: 3 if quick else 4]
         ],
     }
     rows, measured = [], {}
@@ -278,6 +279,9 @@ def main() -> None:
         write_json("accuracy_cost", content, arguments.output)
         print(f"{content['seconds']:6.0f} s  {what}", flush=True)
 
+    if arguments.only_structure:
+        content |= json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
+        return keep("structure", structure=turn_structure(quick))
     scene = load_scene(SCENE)
     chain = build_chain(scene, MPI.COMM_SELF)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)

@@ -158,19 +158,19 @@ def step_towards(solution: PeriodicSolution, problem: ContactProblem) -> float:
         Infinity where the step cannot be solved for.
     """
     problem = leave_out_idle(problem, solution)
+    orders = problem.basis.orders
+    before = read_response(solution.problem, solution.forces, solution.rigid, orders)
     if problem.system.rows.shape[0] == 0:
-        return 0.0
+        return compare_responses(read_response(problem, np.zeros((len(orders), 0)), np.zeros(0), orders), before)
     balance = HarmonicBalance(problem.system)
-    forces, _, rigid = carry_over(solution, balance)
+    forces, motion, rigid = carry_over(solution, balance)
     unknowns = balance.pack(forces, rigid)
-    step = balance.linearise(unknowns)
+    step = balance.linearise(unknowns, motion)  # at its own motion, which another model's compliance would change
     try:
         moved = balance.unpack(unknowns - step.solve(step.residual))
     except np.linalg.LinAlgError:
         return np.inf
-    orders = problem.basis.orders
-    before, after = (read_response(problem, *state, orders) for state in ((forces, rigid), moved))
-    return compare_responses(before, after)
+    return compare_responses(read_response(problem, *moved, orders), before)
 
 
 def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:

@@ -73,4 +73,4 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
     for axes in list(grid.flat)[len(errors) :]:
         axes.set_visible(False)
     figure.suptitle(title)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=90)

@@ -47,7 +47,8 @@ def test_errors_are_relative(truth):
     errors = compare_figures(scaled, truth)
     for name in ("output", "rms", "J_T", "largest normal force", "normal forces"):
         assert errors[name] == pytest.approx(0.01)
-    assert errors["wear"] == errors["deepest wear"] == pytest.approx(0.0201)
+    assert errors["wear"] == pytest.approx(0.0201)
+    assert errors["deepest wear"] == pytest.approx(0.0201)
 
 
 def test_a_phase_error_shows_in_the_response_and_not_in_its_rms(truth):
@@ -58,12 +59,16 @@ def test_a_phase_error_shows_in_the_response_and_not_in_its_rms(truth):
 
 
 def test_time_stepping_tells_the_same_figures(truth):
-    """The two formulations meet: on response, sliding, forces and wear."""
+    """The two formulations meet: on response, sliding, forces and wear.
+
+    With theta = 1/2 the velocity of the contact node, which has no mass, rings from step to step, and J_T and wear,
+    integrals of its absolute value, are 6 % too large: some damping at the scale of the step takes that away.
+    """
     high = solve(replace(PROBLEM, harmonics=40))
-    steady = integrate(replace(PROBLEM, harmonics=40), high, 3200, 60, 1e-7)
+    steady = integrate(replace(PROBLEM, harmonics=40), high, 1600, 60, 1e-7, theta=0.55)
     errors = compare_figures(measure_figures(steady), truth)
     for name in ("output", "rms", "J_T", "normal forces", "wear"):
-        assert errors[name] < 0.02, name
+        assert errors[name] < 0.003, name
 
 
 def test_a_survey_finds_more_harmonics_more_accurate(truth):
