@@ -262,6 +262,9 @@ def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
+        "--only-structure", action="store_true", help="measure modes, mesh and pairs anew, keep the rest"
+    )
+    parser.add_argument(
         "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
     )
     parser.add_argument(

@@ -341,8 +341,8 @@ A knob is worth raising only while its error is among the largest of this table.
 {reference}
 
 A harmonic solve shares no code with time stepping but the reduced model. Sliding and wear are less certain than the
-response: they are integrals of the absolute velocity, which rings from step to step where a contact node has little mass
-(`theta` above one half damps that; `tests/unit/test_cost.py` shows it). Forces are impulses over a step.
+response: they are integrals of the absolute velocity, which rings from step to step where a contact node has little
+mass (`theta` above one half damps that; `tests/unit/test_cost.py` shows it). Forces are impulses over a step.
 
 ## Knob by knob
 
