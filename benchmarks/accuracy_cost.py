@@ -31,7 +31,6 @@ from mpi4py import MPI
 from reporting import RESULTS, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import choose_harmonics, compare_responses
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cost import (
     ERRORS,
@@ -43,6 +42,7 @@ from ewr_fenicsx.cost import (
     measure_figures,
     survey,
 )
+from ewr_fenicsx.estimates import choose_harmonics, compare_responses
 from ewr_fenicsx.scene import load_scene
 
 SCENE = ROOT / "demos" / "blade_root.toml"
@@ -261,9 +261,8 @@ def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--only-structure", action="store_true", help="measure modes, mesh and pairs anew, keep the rest"
-    )
+    parts = ("structure", "accuracies")
+    parser.add_argument("--only", choices=parts, help="measure that part anew, keep the rest")
     parser.add_argument(
         "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
     )
@@ -282,8 +281,9 @@ def main() -> None:
         write_json("accuracy_cost", content, arguments.output)
         print(f"{content['seconds']:6.0f} s  {what}", flush=True)
 
-    if arguments.only_structure:
+    if arguments.only:
         content |= json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
+    if arguments.only == "structure":
         return keep("structure", structure=turn_structure(quick))
     scene = load_scene(SCENE)
     chain = build_chain(scene, MPI.COMM_SELF)
@@ -291,6 +291,9 @@ def main() -> None:
     reference, own, _ = find_reference(problem, (100, 200) if quick else REFERENCE_STEPS)
     high = replace(problem, harmonics=9 if quick else HIGH_ORDER)
     agreement = compare_figures(measure_figures(solve(high)), reference)
+    if arguments.only == "accuracies":
+        kept = [r for r in content["rows"] if r["knob"] != "accuracy asked for"]
+        return keep("accuracies", rows=kept + ask_for_accuracy(problem, reference, (0.1, 0.03, 0.01)))
     found = {"own_error": own, "agreement": agreement, "high_order": high.harmonics}
     keep("reference", quick=quick, errors=ERRORS, frequency=problem.frequency, **found)
     settings = list_settings(problem, orders, fixed=5 if quick else 9)

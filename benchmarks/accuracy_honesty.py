@@ -29,9 +29,10 @@ from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import SAMPLES, choose_samples, compare_responses, match_mobility
+from ewr_fenicsx.accuracy import SAMPLES
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import EwrError
+from ewr_fenicsx.estimates import choose_samples, compare_responses, match_mobility
 from ewr_fenicsx.solution import PeriodicSolution
 
 ACCURACIES = (0.1, 0.03, 0.01)

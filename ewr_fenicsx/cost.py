@@ -13,8 +13,8 @@ from statistics import median
 
 import numpy as np
 
-from ewr_fenicsx.accuracy import choose_samples, match_mobility, read_friction_weight
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.estimates import choose_samples, match_mobility, read_friction_weight
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution

@@ -6,11 +6,11 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ewr_fenicsx.accuracy import estimate_errors, match_mobility
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
 from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.estimates import estimate_errors, match_mobility
 from ewr_fenicsx.newton import solve
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)

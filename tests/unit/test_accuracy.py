@@ -9,7 +9,8 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import (
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.estimates import (
     choose_harmonics,
     drop_modes,
     estimate_errors,
@@ -19,7 +20,6 @@ from ewr_fenicsx.accuracy import (
     measure_distance,
     step_towards,
 )
-from ewr_fenicsx.errors import ModelError
 
 FREQUENCY = 0.7 / (2 * np.pi)
 

@@ -19,7 +19,7 @@ ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
     "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
-    "accuracy", "cost",
+    "estimates", "accuracy", "cost",
     "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
     "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene_entries",
     "scene_joint", "scene_sense", "scene",
