@@ -1,4 +1,4 @@
-"""The cheapest solve that is accurate enough: starts cheap, raises the knob whose error dominates, goes on from there."""
+"""The cheapest solve that is accurate enough: starts cheap, raises the knob whose error dominates, and goes on."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ FIRST_ORDER = 3  # highest harmonic of the first solve
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 SAMPLES = 8  # a highest harmonic, to begin with
+MOST_SAMPLES = 512  # a highest harmonic
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
 
 
@@ -139,6 +140,8 @@ def solve_to_accuracy(
             limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
         elif estimate.dominating == "samples":
             density *= 2
+            if density > MOST_SAMPLES:
+                limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
         else:
             raised = next_order(levels, accuracy)
             needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
@@ -150,7 +153,7 @@ def solve_to_accuracy(
                 limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit
             top = raised
     if np.isnan(estimate.samples):  # a limit was hit while harmonics dominated
-        estimate = judge(solution, None, levels, modes, np.inf)
+        estimate = replace(judge(solution, None, levels, modes, np.inf), harmonics=estimate.harmonics)
     return AccurateSolution(
         solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
     )
