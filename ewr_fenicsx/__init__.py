@@ -13,6 +13,7 @@ _HOME = {
     "ContactProblem": "contact_problem",
     "PeriodicSolution": "solution",
     "solve": "newton",
+    "solve_to_accuracy": "accuracy",
     "integrate": "time_integration",
     "frequency_response": "frequency_sweep",
     "evolve_wear": "wear",

@@ -123,12 +123,15 @@ def pose_problem(
         SceneError: Flanks have laws of their own and no interface says which pairs are theirs.
     """
     solver = scene.solver
+    harmonics = solver.harmonics
+    if solver.accuracy is not None:  # where it begins is not decisive, but loads must have their harmonics
+        harmonics = max(harmonics, *(load.harmonic for load in scene.loads.values()))
     frequency = frequency or next(iter(scene.frequencies), 0.0)
     return ContactProblem(
         model,
         lay_laws(scene, interface),
         frequency=frequency,
-        harmonics=solver.harmonics if frequency else 0,
+        harmonics=harmonics if frequency else 0,
         samples=solver.samples if frequency else None,
         rho_normal=solver.rho_normal,
         rho_tangential=solver.rho_tangential,

@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from mpi4py import MPI
 
     comm = MPI.COMM_WORLD
-    return stop_together(comm, lambda: {"run": run_scene, "info": describe_scene}[arguments.command](arguments, comm))
+    return stop_together(comm, lambda: COMMANDS[arguments.command](arguments, comm))
 
 
 def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
@@ -65,6 +65,12 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     info = commands.add_parser("info", help="print what a scene holds, without solving it", allow_abbrev=False)
     info.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
     info.add_argument("--out", type=Path, metavar="DIR", help="result folder of an earlier run, for its times")
+    cost = commands.add_parser(
+        "cost", help="what accuracy costs: turn the solver's knobs one at a time", allow_abbrev=False
+    )
+    cost.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
+    cost.add_argument("--out", type=Path, metavar="DIR", help="folder of the table and the picture; results/NAME_cost")
+    cost.add_argument("--time-stepping", action="store_true", help="compare with time stepping: slower, independent")
     arguments, rest = parser.parse_known_args(argv)
     if rest and (arguments.command != "run" or not rest[0].startswith("-") or any(a.startswith("--") for a in rest)):
         commands.choices[arguments.command].error(
@@ -129,6 +135,31 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     return 0
 
 
+def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
+    """``ewr cost``: error and time of each setting, on one rank's processor."""
+    scene, folder = read_scene(arguments, comm)
+    from ewr_fenicsx.chain import build_chain
+    from ewr_fenicsx.cost_report import survey_scene
+
+    folder = arguments.out or folder.with_name(f"{folder.name}_cost")
+    with show_progress(comm) as progress:
+        chain = build_chain(scene, comm, progress)
+        with name_place(scene, chain.interface):
+            report = survey_scene(chain, arguments.time_stepping, progress)
+    if comm.rank == 0:
+        files = report.write(folder)
+        console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+        table = Table("knob", box=None, pad_edge=False, header_style="bold")
+        for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
+            table.add_column(header, justify="right")
+        for row in report.rows:
+            cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
+            table.add_row(escape(row["knob"]), *cells, *(f"{error:.1e}" for error in row["errors"].values()))
+        console.print(table)
+        print(report.told, *files, sep="\n")
+    return 0
+
+
 def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:
     """The scene, its doubts told on standard error, and the folder of its results."""
     scene = load_scene(arguments.scene, warn=False)
@@ -171,6 +202,9 @@ def tabulate_effects(effects: Sequence[Effect]) -> Table:
         state = "on" if effect.on else "off"
         table.add_row(effect.name, state, escape(effect.why), *costs, share, style=None if effect.on else "dim")
     return table
+
+
+COMMANDS = {"run": run_scene, "info": describe_scene, "cost": tell_costs}
 
 
 @contextmanager

@@ -138,6 +138,7 @@ def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactS
     pairs = list(zip(neighbour.laws, balance.system.laws, strict=True))
 
     def at(share: float) -> HarmonicBalance:
+        share = min(max(share, -2.0), 3.0)  # a branch that wanders further off leads nowhere, and would overflow
         laws = tuple(
             replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
             for other, law in pairs

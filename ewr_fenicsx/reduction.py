@@ -50,6 +50,12 @@ class CraigBampton:
     contact_dofs: np.ndarray
     structure: Structure
 
+    @property
+    def modal_coordinates(self) -> range:
+        """Coordinates of the model that are fixed-interface modes, by rising frequency."""
+        first = len(self.contact_dofs)
+        return range(first, first + len(self.fixed_interface_frequencies))
+
     def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
         """The displacement field [m] of real reduced coordinates ``(n,)``."""
         field = dolfinx.fem.Function(self.structure.space)

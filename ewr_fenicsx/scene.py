@@ -206,6 +206,13 @@ class Wear(Section):
 class Solver(Section):
     """Harmonic balance and its nonlinear solve."""
 
+    accuracy: Number | None = entry(
+        None,
+        "-",
+        "Largest relative error of the outputs' oscillation; the solver then chooses harmonics, samples and weights.",
+        gt=0,
+        lt=1,
+    )
     harmonics: Integer | tuple[Integer, ...] = entry(
         5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics."
     )

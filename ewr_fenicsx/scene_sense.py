@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 def find_contradictions(scene: Scene) -> Iterator[str]:
     """What cannot be meant, one sentence each."""
     yield from _check_harmonics(scene)
+    yield from _check_accuracy(scene)
     yield from _check_excitation(scene)
     yield from _check_laws(scene)
     yield from _check_wear(scene)
@@ -75,7 +76,7 @@ def can_wear(laws: Contact) -> bool:
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:
     for name, load in scene.loads.items():
-        if load.harmonic not in scene.harmonics:
+        if load.harmonic not in scene.harmonics and scene.solver.accuracy is None:
             yield (
                 f"solver.harmonics = {list(scene.harmonics)} leave out harmonic {load.harmonic}, at which the load "
                 f'"{name}" acts; include it'
@@ -85,6 +86,21 @@ def _check_harmonics(scene: Scene) -> Iterator[str]:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '
             "name the boundary that is held"
+        )
+
+
+def _check_accuracy(scene: Scene) -> Iterator[str]:
+    asked = scene.solver.accuracy
+    if asked is None:
+        return
+    for key in ("harmonics", "samples"):
+        if key in scene.solver.model_fields_set and getattr(scene.solver, key) is not None:
+            yield f"solver: accuracy = {asked:g} chooses {key} itself; give one of the two"
+    if len(scene.frequencies) > 1 or scene.wear:
+        study = "a sweep" if len(scene.frequencies) > 1 else "wear"
+        yield (
+            f"solver.accuracy = {asked:g} is for a single periodic solution, and this scene asks for {study}; run it "
+            "at one frequency without wear, where the response is strongest, and give the harmonics that it chose"
         )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
+from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import RealArray
@@ -48,10 +49,23 @@ def run_study(chain: Chain, progress: Progress | None = None) -> Study:
     if chain.scene.wear:
         return _wear(chain, watch)
     scene = chain.scene
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    if scene.solver.accuracy is not None and problem.frequency:
+        return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
-        problem = pose_problem(scene, chain.reduction.model, chain.interface)
         solution = solve(problem, tolerance=scene.solver.tolerance)
     return Study(solution, watch.seconds, None, solution.summary(), lambda folder: None)
+
+
+def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) -> Study:
+    from ewr_fenicsx.accuracy import solve_to_accuracy
+
+    asked = chain.scene.solver
+    with watch.stage("solve"):
+        found = solve_to_accuracy(
+            problem, asked.accuracy, tolerance=asked.tolerance, modes=chain.reduction.modal_coordinates
+        )
+    return Study(found.solution, watch.seconds, None, found.summary(), lambda folder: None)
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:

@@ -43,7 +43,7 @@ def test_commands_exist():
         done = subprocess.run(["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
     commands = re.findall(r"^    (ewr .*?)(?: +#.*)?$", README, flags=re.MULTILINE)
-    assert len(commands) == 2
+    assert len(commands) == 3
     for command in commands:
         arguments, rest = parse_arguments(command.split()[1:])
         assert not rest and (ROOT / arguments.scene).is_file()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import warnings
 from pathlib import Path
@@ -326,3 +327,26 @@ def test_most_demo_scenes_name_the_schema():
     """So that editors help with the first scene that someone opens."""
     named = {p.stem for p in ROOT.glob("demos/*.toml") if p.read_text(encoding="utf-8").startswith("#:schema ")}
     assert {"blade_root", "two_blocks", "dovetail", "bolted_lap", "tapping_rod", "friction_damped_beam"} <= named
+
+
+@pytest.mark.parametrize(
+    ("solver", "more", "told"),
+    [
+        ("accuracy = 0.01\nharmonics = 9", "", "accuracy = 0.01 chooses harmonics itself; give one of the two"),
+        ("accuracy = 0.01\nsamples = 99", "", "accuracy = 0.01 chooses samples itself; give one of the two"),
+        ("accuracy = 0.01", "[wear]\ncycles = 5", "for a single periodic solution, and this scene asks for wear"),
+    ],
+)
+def test_an_accuracy_takes_the_place_of_what_it_chooses(read, solver, more, told):
+    with pytest.raises(SceneError, match=re.escape(told)):
+        read(f"{SCENE}[solver]\n{solver}\n{more}")
+
+
+def test_an_accuracy_is_for_one_frequency(read):
+    with pytest.raises(SceneError, match="this scene asks for a sweep"):
+        read(SCENE.replace("1000", "[900, 1000]") + "[solver]\naccuracy = 0.01")
+
+
+def test_with_an_accuracy_loads_may_have_any_harmonic(read):
+    scene = read(SCENE.replace("harmonic = 1", "harmonic = 7") + "[solver]\naccuracy = 0.01")
+    assert scene.solver.accuracy == 0.01

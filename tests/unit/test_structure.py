@@ -19,12 +19,13 @@ ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
     "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
+    "estimates", "accuracy", "cost",
     "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
     "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene_entries",
     "scene_joint", "scene_sense", "scene",
     "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
-    "contact_state", "gathering", "plots", "result_folder", "output",
-    "wear_fields", "study", "cli", "__main__",
+    "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output",
+    "wear_fields", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

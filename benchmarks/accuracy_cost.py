@@ -1,0 +1,331 @@
+"""What accuracy costs in time on the blade root: every knob by itself, against time stepping.
+
+    .venv/bin/python benchmarks/accuracy_cost.py             some eight minutes on one core
+    .venv/bin/python benchmarks/accuracy_cost.py --quick     a minute, few settings
+    .venv/bin/python docs/generate_accuracy.py               writes docs/accuracy.md and its pictures from the JSON
+
+At 1000 Hz, near the resonance of the slipping joint, where all flanks slip and half of the pairs lift off for a while.
+The reference is `integrate`, steps halved until the response moves by less than can be seen, the outputs extrapolated;
+its own error is the change with the last halving, and the distance to a harmonic solve of high order is shown beside
+it. Knobs of the structure (modes, mesh, pairs) are
+turned at N = 5, with the finest of their row as reference, the finest mesh of degree 2 for both degrees. Times are the
+process's own (CPU), medians of three from cold; compilation and what is computed once a model are not timed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from hard_cases import Case, pose_case
+from models import ROOT
+from mpi4py import MPI
+from reporting import RESULTS, describe_machine, print_table, write_json
+
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
+from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.cost import (
+    ERRORS,
+    HIGHEST_VARIANT,
+    Figures,
+    Setting,
+    compare_figures,
+    list_settings,
+    measure_figures,
+    survey,
+)
+from ewr_fenicsx.estimates import choose_harmonics, compare_responses
+from ewr_fenicsx.scene import load_scene
+
+SCENE = ROOT / "demos" / "blade_root.toml"
+ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23, 27, 31)
+HIGH_ORDER = 31
+STEPS, REFERENCE_STEPS = (100, 200, 400, 800), (400, 800, 1600)
+MODES = (2, 4, 8, 15, 30, 60, 120)
+MESH_SIZES = (2.8e-3, 2e-3, 1.4e-3, 1e-3, 0.7e-3)
+PAIRS = (3, 5, 10, 20)
+PEAK, PEAK_ORDERS = (960.0, 1060.0), (1, 3, 5, 9)
+JUMPS = (0.3, 0.1, 0.03, 0.01, 0.003)
+SHARES = (1e-3, 3e-3, 1e-2, 3e-2)
+
+
+def find_reference(problem: ContactProblem, steps: tuple[int, ...]) -> tuple[Figures, dict[str, float], object]:
+    """Figures of the steady motion, their own errors by the last halving of the step, and the last run."""
+    start, found = solve(replace(problem, harmonics=15)), []
+    for count in steps:
+        steady = integrate(replace(problem, harmonics=63), start, count, 100, 1e-5, acceleration=True)
+        start = steady.end
+        found.append(measure_figures(steady))
+        print(f"  reference: {steady.summary()}", flush=True)
+    own = compare_figures(found[-2], found[-1])
+    output = found[-1].output + (found[-1].output - found[-2].output) / 3  # the scheme is of second order
+    return replace(found[-1], output=output), own, steady
+
+
+def time_steps(problem: ContactProblem, reference: Figures, steps: tuple[int, ...]) -> list[dict]:
+    """Rows as of ``survey``: time stepping from full stick until it finds itself steady, plain and accelerated."""
+    rows = []
+    for knob, accelerated in (("time steps", False), ("time steps, accelerated", True)):
+        for count in steps:
+            begin = time.process_time()
+            steady = integrate(replace(problem), None, count, 120, 1e-4, acceleration=accelerated)
+            spent = time.process_time() - begin
+            steady = replace(steady, problem=replace(problem, harmonics=min(63, count // 2 - 1)))
+            row = {"knob": knob, "value": count, "unknowns": count, "steps": steady.periods}
+            row |= {"converged": steady.converged, "seconds": spent, "spread": [spent, spent]}
+            rows.append(row | {"errors": compare_figures(measure_figures(steady), reference)})
+    return rows
+
+
+def ask_for_accuracy(problem: ContactProblem, reference: Figures, accuracies: tuple[float, ...]) -> list[dict]:
+    """Rows as of ``survey``: an accuracy asked for, and what came out."""
+    rows = []
+    for accuracy in accuracies:
+        begin = time.process_time()
+        found = solve_to_accuracy(replace(problem), accuracy)
+        spent = time.process_time() - begin
+        row = {"knob": "accuracy asked for", "value": accuracy, "unknowns": found.solution.unknowns}
+        row |= {"steps": sum(level.steps for level in found.levels), "converged": True, "seconds": spent}
+        row |= {"spread": [spent, spent], "N": found.solution.orders[-1], "estimate": found.estimate.total}
+        row |= {"reached": found.reached}
+        rows.append(row | {"errors": compare_figures(measure_figures(found.solution), reference)})
+    return rows
+
+
+def measure_scalars(problem: ContactProblem) -> dict[str, float | complex]:
+    """What can be compared between meshes: response, sliding, pressure and wear."""
+    solution = solve(problem)
+    figures, area = measure_figures(solution), problem.model.pair_area
+    return {
+        "tip": complex(figures.output[0, 0]),
+        "rms": float(np.linalg.norm(figures.output[:, 0])),
+        "J_T": float(np.average(figures.sliding, weights=area)),
+        "largest pressure": float((figures.normal_force / area).max()),
+        "worn volume": float(figures.wear @ area),
+        "deepest wear": float(figures.wear.max()),
+    }
+
+
+def turn_structure(quick: bool) -> list[dict]:
+    """Modes, mesh size, degree and pairs: against the finest of each row, with the time of each stage."""
+    scene = load_scene(SCENE)
+    size = lambda v, **more: scene.geometry.model_copy(update={"parameters": {"mesh_size": v, **more}})  # noqa: E731
+    degree = lambda v: scene.elasticity.model_copy(update={"degree": v})  # noqa: E731
+    modes = lambda v: scene.reduction.model_copy(update={"modes": v})  # noqa: E731
+    turns = {
+        "modes": [(v, {"reduction": modes(v)}) for v in MODES],
+        "mesh size [mm], degree 1": [(1e3 * v, {"geometry": size(v)}) for v in MESH_SIZES],
+        "mesh size [mm], degree 2": [
+            (1e3 * v, {"geometry": size(v), "elasticity": degree(2)}) for v in MESH_SIZES[: 2 if quick else 3]
+        ],
+        "pairs a flank, mesh 0.7 mm": [
+            (v, {"geometry": size(MESH_SIZES[-1], pairs=v)}) for v in PAIRS[: 3 if quick else 4]
+        ],
+    }
+    rows, measured = [], {}
+    for knob, positions in turns.items():
+        mine = []
+        for value, change in positions:
+            chain = build_chain(scene.model_copy(update=change), MPI.COMM_SELF)
+            begin = time.process_time()
+            found = measure_scalars(pose_problem(chain.scene, chain.reduction.model, chain.interface))
+            spent = time.process_time() - begin
+            nodes = chain.structure.space.dofmap.index_map.size_global
+            mine.append((value, nodes, chain.interface.area.size, dict(chain.seconds), spent, found))
+        measured[knob] = mine
+    for knob, mine in measured.items():
+        finest = measured["mesh size [mm], degree 2" if knob.startswith("mesh") else knob][-1][5]
+        for value, nodes, pairs, seconds, spent, found in mine:
+            errors = {name: float(abs(found[name] - finest[name]) / abs(finest[name])) for name in finest}
+            row = {"knob": knob, "value": value, "nodes": nodes, "pairs": pairs, "stages": seconds, "solve": spent}
+            rows.append(row | {"errors": errors})
+    return rows
+
+
+def find_peak(frequencies: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
+    """Place and height of the maximum by a parabola through the three highest neighbours."""
+    top = int(np.clip(heights.argmax(), 1, len(heights) - 2))
+    near = slice(top - 1, top + 2)
+    centre = frequencies[top]
+    a, b, c = np.polyfit(frequencies[near] - centre, heights[near], 2)
+    return float(centre - b / (2 * a)), float(c - b**2 / (4 * a))
+
+
+def turn_peak(problem: ContactProblem, quick: bool) -> dict:
+    """Frequency and height of the resonance by N, against time stepping at the same frequencies."""
+    grid = np.linspace(*PEAK, 4 if quick else 9)
+    rows, curves = [], {}
+    for n in PEAK_ORDERS[: 2 if quick else 4]:
+        begin, solution, heights = time.process_time(), None, []
+        for frequency in grid:
+            solution = solve(replace(problem, frequency=float(frequency), harmonics=n), start=solution)
+            heights.append(np.linalg.norm(measure_figures(solution).output[:, 0]) / np.sqrt(2))
+        curves[str(n)] = heights
+        rows.append([n, *find_peak(grid, np.array(heights)), time.process_time() - begin])
+    start, stepped, begin = solution, [], time.process_time()
+    top = int(np.clip(np.argmax(curves[str(rows[-1][0])]), 1, len(grid) - 2))
+    for frequency in grid[top - 1 : top + 2]:
+        posed = replace(problem, frequency=float(frequency), harmonics=31)
+        steady = integrate(posed, start, 100 if quick else 800, 100, 1e-4, acceleration=True)
+        start = steady.end
+        stepped.append(np.linalg.norm(measure_figures(steady).output[:, 0]) / np.sqrt(2))
+    reference = find_peak(grid[top - 1 : top + 2], np.array(stepped))
+    return {
+        "frequencies": grid,
+        "curves": curves,
+        "reference": [*reference, time.process_time() - begin],
+        "rows": [[n, f, h, f / reference[0] - 1, h / reference[1] - 1, spent] for n, f, h, spent in rows],
+    }
+
+
+def turn_wear(problem: ContactProblem, quick: bool) -> list[dict]:
+    """Cycle jumps against every cycle: errors of the worn depth, solves and time."""
+    cycles, coefficient = (20 if quick else 100), 2e-12
+    rows, exact = [], None
+    for tolerance in (None, *JUMPS):
+        begin = time.process_time()
+        jump = None if tolerance is None else Tolerance(share=tolerance)
+        history = evolve_wear(
+            replace(problem, harmonics=3), cycles, coefficient, jump, keep_every=cycles, progress=False
+        )
+        spent, depth = time.process_time() - begin, history.depth[-1]
+        exact = depth if exact is None else exact
+        off = depth - exact
+        row = {"tolerance": tolerance, "solves": history.solves, "seconds": spent}
+        row |= {"deepest": float(depth.max()), "largest": float(np.abs(off).max() / exact.max())}
+        rows.append(row | {"L2": float(np.linalg.norm(off) / np.linalg.norm(exact))})
+    return rows
+
+
+def adapt_harmonics(problem: ContactProblem, quick: bool) -> list[dict]:
+    """All harmonics against those chosen by their contact forces: unknowns, time and what it changes."""
+    lap = Case("lap joint", 2.0, ("reached", 0.3), 0.01, 5, 0.02, "closed", (1, 1))
+    root = Case("dovetail", 0.95, ("reached", 1.0), 0.05, 5, 0.05, "closed", (1, 1))
+    cases = {"blade root, 1000 Hz": (problem, 9 if quick else 23)}
+    cases |= {case.name.split(", N")[0]: (pose_case(case), 31) for case in (lap, root)}
+    rows = []
+    for name, (posed, n) in cases.items():
+        begin = time.process_time()
+        full = solve(replace(posed, harmonics=n))
+        spent = time.process_time() - begin
+        rows.append({"case": name, "share": 0.0, "harmonics": len(full.orders), "unknowns": full.unknowns})
+        rows[-1] |= {"seconds": spent, "change": 0.0, "kept": list(full.orders)}
+        for share in SHARES:
+            kept = choose_harmonics(full, share)
+            begin = time.process_time()
+            fewer = solve(replace(posed, harmonics=kept, samples=full.problem.basis.samples))
+            spent = time.process_time() - begin
+            change = compare_responses(measure_figures(fewer).output, measure_figures(full).output)
+            rows.append({"case": name, "share": share, "harmonics": len(kept), "unknowns": fewer.unknowns})
+            rows[-1] |= {"seconds": spent, "change": change, "kept": list(kept)}
+    return rows
+
+
+def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
+    """Time of every stage of a run, first (with compilation, where nothing is cached) and again; memory of solves."""
+    from ewr_fenicsx.output import write_results
+
+    scene, runs = load_scene(SCENE), []
+    for _ in range(repeats):
+        chain = build_chain(scene, MPI.COMM_SELF)
+        runs.append(dict(chain.seconds))
+        begin = time.perf_counter()
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        solution = solve(problem)
+        runs[-1] |= {f"solve: {stage}": t for stage, t in solution.stages.items()}
+        begin = time.perf_counter()
+        with TemporaryDirectory() as folder:
+            write_results(Path(folder) / "run", chain, solution, seconds={})
+        runs[-1]["output"] = time.perf_counter() - begin
+    solves = []
+    for n in orders:
+        tracemalloc.start()
+        solution = solve(replace(problem, harmonics=n))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        solves.append({"N": n, "unknowns": solution.unknowns, "peak_MB": peak / 1e6})
+    stages = {
+        k: [runs[0][k], median(r[k] for r in runs[1:]), min(r[k] for r in runs[1:]), max(r[k] for r in runs[1:])]
+        for k in runs[0]
+    }
+    return {"stages": stages, "memory": solves, "largest_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = ("structure", "accuracies")
+    parser.add_argument("--only", choices=parts, help="measure that part anew, keep the rest")
+    parser.add_argument(
+        "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
+    )
+    parser.add_argument(
+        "--highest", type=int, default=ORDERS[-1], help="highest N tried [31]; 63 takes half an hour more"
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="cold solves that take less than seconds [3]")
+    parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/accuracy_cost.json]")
+    arguments = parser.parse_args()
+    quick, content, begin = arguments.quick, {"machine": describe_machine()}, time.perf_counter()
+    orders = tuple(n for n in (*ORDERS, 40, 50, 63) if n <= arguments.highest and (n in (1, 5) or not quick))
+
+    def keep(what: str, **found: object) -> None:
+        """What was found so far is on disk, whatever happens to the rest."""
+        content.update(found, seconds=time.perf_counter() - begin)
+        write_json("accuracy_cost", content, arguments.output)
+        print(f"{content['seconds']:6.0f} s  {what}", flush=True)
+
+    if arguments.only:
+        content |= json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
+    if arguments.only == "structure":
+        return keep("structure", structure=turn_structure(quick))
+    scene = load_scene(SCENE)
+    chain = build_chain(scene, MPI.COMM_SELF)
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    reference, own, _ = find_reference(problem, (100, 200) if quick else REFERENCE_STEPS)
+    high = replace(problem, harmonics=9 if quick else HIGH_ORDER)
+    agreement = compare_figures(measure_figures(solve(high)), reference)
+    if arguments.only == "accuracies":
+        kept = [r for r in content["rows"] if r["knob"] != "accuracy asked for"]
+        return keep("accuracies", rows=kept + ask_for_accuracy(problem, reference, (0.1, 0.03, 0.01)))
+    found = {"own_error": own, "agreement": agreement, "high_order": high.harmonics}
+    keep("reference", quick=quick, errors=ERRORS, frequency=problem.frequency, **found)
+    settings = list_settings(problem, orders, fixed=5 if quick else 9)
+    zero = replace(problem, laws=ContactLaws(friction=0.2, static_friction="zero"))
+    settings += [
+        Setting('N, static friction "zero"', n, replace(zero, harmonics=n)) for n in orders if n <= HIGHEST_VARIANT
+    ]
+    rows = survey(settings, reference, 1 if quick else arguments.repeats)
+    keep(f"{len(rows)} settings", rows=rows)
+    rows += ask_for_accuracy(problem, reference, (0.3,) if quick else (0.1, 0.03, 0.01))
+    keep("accuracies asked for", rows=rows)
+    rows += time_steps(problem, reference, STEPS[:1] if quick else STEPS)
+    keep("time stepping", rows=rows)
+    short = ("output", "rms", "J_T", "largest normal force", "normal forces", "wear", "coulomb")
+    print_table(
+        "Every knob by itself: relative errors, %",
+        ["knob", "value", "unknowns", "steps", "s", *short],
+        [
+            [r["knob"], r["value"], r["unknowns"], r["steps"], r["seconds"], *(100 * r["errors"][e] for e in short)]
+            for r in rows
+        ],
+    )
+    keep("structure", structure=turn_structure(quick))
+    keep("adapted harmonics", adapted=adapt_harmonics(problem, quick))
+    keep("wear", wear=turn_wear(problem, quick))
+    keep("stages", stages=time_stages(2 if quick else 3, (3, 5) if quick else (5, 9, 15)))
+    keep("peak", peak=turn_peak(problem, quick))
+    for title, table in (("Wear", content["wear"]), ("Adapted harmonics", content["adapted"])):
+        print_table(
+            title, [k for k in table[0] if k != "kept"], [[v for k, v in r.items() if k != "kept"] for r in table]
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""Is an accuracy that is asked for kept, and what does not knowing the right settings cost?
+
+    .venv/bin/python benchmarks/accuracy_honesty.py              some eight minutes on one core
+    .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
+
+Cases: the sample of `hard_cases.py` (default weights) on the two small models, and the demo's blade root at three
+states. Those where no pair ever slips or lifts off are linear and exact with any setting: they are counted, and left
+out of the shares. The reference is time stepping to the steady state at two step sizes, extrapolated; a harmonic solve
+of high order where time stepping has not settled. Where the two differ by more than a third of the smallest accuracy
+asked, neither counts as a reference, and the case is listed: lightly damped contact nodes with a mass of their own may
+chatter, and a problem may have several solutions.
+
+The cheapest fixed setting is found by trying: orders, both friction weights and two densities of samples, from cold;
+the cheapest counts whose true error meets the accuracy, which a user could not know. Times are the process's own (CPU).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from hard_cases import CapReached, draw_cases, pose_case
+from models import blade_root
+from reporting import describe_machine, print_table, write_json
+
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy import SAMPLES
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import EwrError
+from ewr_fenicsx.estimates import choose_samples, compare_responses, match_mobility
+from ewr_fenicsx.solution import PeriodicSolution
+
+ACCURACIES = (0.1, 0.03, 0.01)
+ORDERS = (3, 5, 8, 12, 18, 27, 40)
+MOST_UNKNOWNS = 3500  # of fixed settings and references
+HIGH_ORDER = 47
+STEPS = (800, 1600)
+LINEAR = 1e-6  # error of one harmonic below which nothing slips or lifts off
+BLADE = ((900.0, 0.2, 1.0), (1000.0, 0.2, 1.0), (1200.0, 0.2, 1.0))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Amplitudes of the outputs, ``(n_h, p)`` at harmonics 1.., and how far the two ways to them are apart."""
+
+    response: np.ndarray
+    own_error: float
+    way: str
+
+
+@contextmanager
+def limit_work(seconds: float) -> Iterator[None]:
+    """Raises ``CapReached`` in the first Newton step after so much processor time."""
+    linearise, begin = HarmonicBalance.linearise, time.process_time()
+
+    def watch(self, unknowns, *motion):
+        if time.process_time() - begin > seconds:
+            raise CapReached
+        return linearise(self, unknowns, *motion)
+
+    HarmonicBalance.linearise = watch
+    try:
+        yield
+    finally:
+        HarmonicBalance.linearise = linearise
+
+
+def read(source, highest: int = HIGH_ORDER) -> np.ndarray:
+    """Outputs' amplitudes at harmonics 1 to ``highest``, ``(n_h, p)``, of a solution or a steady state."""
+    names = source.problem.model.outputs
+    response = np.zeros((highest, len(names)), dtype=complex)
+    for i, name in enumerate(names):
+        for h, amplitude in zip(source.orders, source.output(name), strict=True):
+            if 0 < h <= highest:
+                response[h - 1, i] = amplitude
+    return response
+
+
+def find_reference(problem: ContactProblem, cap: float) -> Reference | None:
+    """The response without truncation, and how well two ways to it agree; None where there is no agreement."""
+    high = start = None
+    try:
+        with limit_work(cap):
+            start = solve(replace(problem, harmonics=15))
+            if 2 * HIGH_ORDER * problem.system.rows.shape[0] <= MOST_UNKNOWNS:
+                high = solve(replace(problem, harmonics=HIGH_ORDER, samples=16 * HIGH_ORDER), start=start)
+    except (CapReached, EwrError) as error:
+        print(f"         no harmonic reference: {type(error).__name__}")  # time stepping may still get there
+    spectrum = replace(problem, harmonics=HIGH_ORDER)
+    begin, stepped = time.process_time(), []
+    first = high or start
+    for steps in STEPS:
+        steady = integrate(spectrum, first, steps, periods=80, tolerance=1e-5, acceleration=True)
+        if not steady.converged or time.process_time() - begin > 2 * cap:
+            break
+        stepped.append(read(steady))
+        first = steady.end
+    if len(stepped) < len(STEPS):
+        return None if high is None else Reference(read(high), np.nan, "harmonic")
+    response = stepped[1] + (stepped[1] - stepped[0]) / 3  # the scheme is of second order
+    if high is None:
+        return Reference(response, compare_responses(stepped[1], response), "time stepping")
+    return Reference(response, compare_responses(read(high), response), "both")
+
+
+def try_fixed(problem: ContactProblem, reference: np.ndarray, cap: float) -> list[dict]:
+    """Cold solves at fixed settings: error and processor time of each; no further once one takes the cap."""
+    rows = []
+    for weight in ("default", "mobility"):
+        for density in (SAMPLES, 32):
+            for n in ORDERS:
+                if 2 * n * problem.system.rows.shape[0] > MOST_UNKNOWNS:
+                    break
+                posed = replace(problem, harmonics=n, samples=choose_samples(n, density))
+                begin = time.process_time()
+                try:
+                    with limit_work(cap):
+                        if weight == "mobility":
+                            posed = replace(posed, rho_tangential=match_mobility(posed))
+                        solution = solve(posed)
+                except (CapReached, EwrError):
+                    break
+                spent = time.process_time() - begin
+                error = compare_responses(read(solution), reference)
+                rows.append({"N": n, "weight": weight, "density": density, "error": error, "seconds": spent})
+                if error < 0.3 * min(ACCURACIES):
+                    break
+    return rows
+
+
+def try_asked(problem: ContactProblem, accuracy: float, reference: np.ndarray, cap: float) -> dict | None:
+    """What comes out where an accuracy is asked for; None where the cap was reached or nothing found."""
+    begin = time.process_time()
+    try:
+        with limit_work(cap):
+            found = solve_to_accuracy(problem, accuracy)
+    except (CapReached, EwrError) as error:
+        return {"accuracy": accuracy, "failed": type(error).__name__}
+    spent = time.process_time() - begin
+    true = compare_responses(read(found.solution), reference)
+    row = {"accuracy": accuracy, "true": true, "estimate": found.estimate.total, "reached": found.reached}
+    return row | {"N": found.solution.orders[-1], "levels": len(found.levels), "seconds": spent, "limit": found.limit}
+
+
+def is_linear(solution: PeriodicSolution) -> bool:
+    """Whether the contact carries no harmonic but those of the loads."""
+    loaded = [h for h, f in solution.problem.loads.items() if np.any(f)]
+    extra = [j for j, h in enumerate(solution.orders) if h and h not in loaded]
+    return bool(np.linalg.norm(solution.forces[extra]) <= LINEAR * np.linalg.norm(solution.forces))
+
+
+def list_cases(count: int, blade: int, seed: int) -> list[tuple[str, Callable[[], ContactProblem]]]:
+    """Names and problems."""
+    cases: list[tuple[str, Callable[[], ContactProblem]]] = []
+    for i, name in enumerate(("lap joint", "dovetail")):
+        for case in draw_cases(name, count, seed + i):
+            case = replace(case, rho=(1, 1), harmonics=5)
+            cases.append((case.name.split(", rho")[0].replace(", N 5", ""), lambda case=case: pose_case(case)))
+    for frequency, friction, factor in BLADE[:blade]:
+
+        def pose(frequency=frequency, friction=friction, factor=factor) -> ContactProblem:
+            model = blade_root()
+            load = {h: f * (factor if h else 1.0) for h, f in model.load.items()}
+            return ContactProblem(model, ContactLaws(friction=friction), frequency, load=load)
+
+        cases.append((f"blade root: {frequency:g} Hz, mu {friction:g}, load x {factor:g}", pose))
+    return cases
+
+
+def run_case(name: str, problem: ContactProblem, cap: float) -> dict:
+    """Everything of one case."""
+    try:
+        with limit_work(cap):
+            if is_linear(solve(problem)):
+                return {"name": name, "kind": "linear"}
+        reference = find_reference(problem, cap)
+    except (CapReached, EwrError) as error:
+        return {"name": name, "kind": "not solved", "why": type(error).__name__}
+    if reference is None:
+        return {"name": name, "kind": "no reference"}
+    if reference.way == "both" and reference.own_error > min(ACCURACIES) / 3:
+        return {"name": name, "kind": "references differ", "own_error": reference.own_error}
+    asked = [try_asked(problem, a, reference.response, cap) for a in ACCURACIES]
+    fixed = try_fixed(problem, reference.response, cap)
+    for row in asked:
+        meets = [f["seconds"] for f in fixed if f["error"] <= row["accuracy"]]
+        row["cheapest"] = min(meets, default=None)
+    return {"name": name, "kind": "compared", "way": reference.way, "own_error": reference.own_error} | {
+        "asked": asked,
+        "fixed": fixed,
+    }
+
+
+def summarise(cases: list[dict]) -> list[list[object]]:
+    """A row for each accuracy and for all: shares and cost ratios."""
+    compared = [c for c in cases if c["kind"] == "compared"]
+    table = []
+    for accuracy in (*ACCURACIES, None):
+        rows = [r for c in compared for r in c["asked"] if accuracy in (None, r["accuracy"])]
+        done = [r for r in rows if "true" in r]
+        reached = [r for r in done if r["reached"]]
+        kept = [r for r in reached if r["true"] <= r["accuracy"]]
+        near = [r for r in done if r["true"] / 5 <= r["estimate"] <= 5 * r["true"]]
+        ratio = [r["seconds"] / r["cheapest"] for r in reached if r["cheapest"]]
+        share = lambda part, of: 100 * len(part) / len(of) if of else None  # noqa: E731
+        table.append(
+            [
+                "all" if accuracy is None else f"{100 * accuracy:g} %",
+                len(rows),
+                len(reached),
+                share(kept, reached),
+                share(near, done),
+                float(np.median(ratio)) if ratio else None,
+                share([r for r in ratio if r <= 2.5], ratio),
+                max(ratio, default=None),
+            ]
+        )
+    return table
+
+
+HEADER = ["asked", "cases", "said to be reached", "true error at most asked, %", "estimate within a factor of 5, %"]
+HEADER += ["cost over cheapest, median", "at most 2.5, %", "largest"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=24, help="sampled cases a small model [24]")
+    parser.add_argument("--blade", type=int, default=len(BLADE), help="states of the blade root [3]")
+    parser.add_argument("--seed", type=int, default=11, help="of the sample [11]")
+    parser.add_argument("--cap", type=float, default=12.0, help="processor seconds a solve [12]")
+    parser.add_argument("--quick", action="store_true", help="4 sampled cases a model, no blade root")
+    parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/accuracy_honesty.json]")
+    arguments = parser.parse_args()
+    if arguments.quick:
+        arguments.cases, arguments.blade = 4, 0
+    content: dict[str, object] = {"machine": describe_machine(), "seed": arguments.seed, "header": HEADER}
+    cases: list[dict] = []
+    begin = time.perf_counter()
+    for name, pose in list_cases(arguments.cases, arguments.blade, arguments.seed):
+        case = run_case(name, pose(), arguments.cap)
+        cases.append(case)
+        told = [
+            f"{r['accuracy']:g}: {r.get('true', np.nan):.1e} ({r.get('estimate', np.nan):.1e})"
+            for r in case.get("asked", [])
+        ]
+        print(f"{time.perf_counter() - begin:6.0f} s  {name}: {case['kind']}", *told, sep="; ", flush=True)
+        table = summarise(cases)
+        kinds = {kind: sum(c["kind"] == kind for c in cases) for kind in dict.fromkeys(c["kind"] for c in cases)}
+        content |= {"kinds": kinds, "table": table, "cases": cases, "seconds": time.perf_counter() - begin}
+        write_json("accuracy_honesty", content, arguments.output)  # at once: the last cases are the slow ones
+    print_table("Asked, and what came out", HEADER, table)
+    print("\n" + ", ".join(f"{count} {kind}" for kind, count in kinds.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,435 @@
+"""Write docs/accuracy.md and its pictures from what the two accuracy benchmarks measured.
+
+.venv/bin/python benchmarks/accuracy_cost.py
+.venv/bin/python benchmarks/accuracy_honesty.py
+.venv/bin/python docs/generate_accuracy.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from ewr_fenicsx.cost import choose_cheapest, fit_slope
+from ewr_fenicsx.cost_plots import draw_work_precision
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS, PAGE = ROOT / "benchmarks" / "results", ROOT / "docs" / "accuracy.md"
+LEVELS = (0.1, 0.03, 0.01, 0.003)
+NAMES = {
+    "output": "response, amplitude and phase",
+    "rms": "response, rms",
+    "J_T": "sliding, J_T",
+    "largest normal force": "largest normal force",
+    "normal forces": "normal forces, all pairs and times",
+    "deepest wear": "deepest wear a cycle",
+    "wear": "wear a cycle, all pairs",
+    "signorini": "Signorini violation",
+    "coulomb": "Coulomb violation",
+}
+TRUE_ERRORS = tuple(NAMES)[:7]
+PICTURE = {
+    "work_precision_knobs": ("N", "samples", "rho_N over default", "rho_T over default", "tolerance", "time steps"),
+    "work_precision_best": (
+        "N",
+        "N, rho_T by mobility",
+        "N, rho_T by mobility, 8 N samples",
+        'N, static friction "zero"',
+        "time steps",
+        "time steps, accelerated",
+        "accuracy asked for",
+    ),
+}
+
+
+def show(value: object) -> str:
+    """A cell of a table."""
+    if isinstance(value, float):
+        return "" if value != value else f"{value:.3g}"
+    return "" if value is None else str(value)
+
+
+def write_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    return "\n".join(lines + ["| " + " | ".join(map(show, row)) + " |" for row in rows])
+
+
+def percent(value: float | None) -> str | None:
+    """A relative error as people read it."""
+    return None if value is None else f"{100 * value:.2g} %"
+
+
+def tell_reference(cost: dict) -> str:
+    """How far the reference can be trusted, by quantity."""
+    rows = [[NAMES[e], percent(cost["own_error"][e]), percent(cost["agreement"][e])] for e in TRUE_ERRORS]
+    header = [
+        "quantity",
+        "change with the last halving of the step",
+        f"harmonic solve, N = {cost['high_order']}, from it",
+    ]
+    return write_table(header, rows)
+
+
+def tell_choice(rows: list[dict]) -> str:
+    """What to choose for each quantity and level: the cheapest harmonic setting, and the cheapest time stepping."""
+    table = []
+    stepping = [r for r in rows if r["knob"].startswith("time steps")]
+    harmonic = [r for r in rows if r["knob"].startswith("N")]
+    for error in TRUE_ERRORS:
+        for level in LEVELS:
+            best, other = (choose_cheapest(part, error, level) for part in (harmonic, stepping))
+            name = lambda r: None if r is None else f"{r['knob']} = {r['value']:g}"  # noqa: E731
+            seconds = lambda r: None if r is None else r["seconds"]  # noqa: E731
+            table.append([NAMES[error], percent(level), name(best) or "none tried", seconds(best)])
+            table[-1] += [name(other) or "none tried", seconds(other)]
+    return write_table(["quantity", "error", "cheapest harmonic setting", "s", "cheapest time stepping", "s"], table)
+
+
+def tell_knob(rows: list[dict], knob: str) -> str:
+    """All errors along one knob, and how time and errors change with it."""
+    mine = [r for r in rows if r["knob"] == knob]
+    values = [r["value"] for r in mine]
+    table = [
+        [f"{r['value']:g}", r["unknowns"], r["steps"], r["seconds"], *(percent(r["errors"][e]) for e in NAMES)]
+        for r in mine
+    ]
+    slopes = [fit_slope(values, [r["errors"][e] for r in mine]) for e in NAMES]
+    power = lambda slope: "" if slope != slope else f"^{slope:.1f}"  # noqa: E731
+    table.append(["as a power", "", "", power(fit_slope(values, [r["seconds"] for r in mine])), *map(power, slopes)])
+    return write_table([knob, "unknowns", "steps", "s", *NAMES.values()], table)
+
+
+def tell_structure(rows: list[dict]) -> str:
+    """Errors of modes, meshes and pairs, and the time of the stages that they cost."""
+    names = list(rows[0]["errors"])
+    table = []
+    for r in rows:
+        stages = r["stages"]
+        row = [r["knob"], f"{r['value']:g}", r["nodes"], r["pairs"], stages["mesh"], stages["matrices"]]
+        row += [
+            stages["reduction"],
+            r["solve"],
+            *(percent(r["errors"][n]) if any(r["errors"].values()) else "reference" for n in names),
+        ]
+        table.append(row)
+    header = [
+        "knob",
+        "value",
+        "nodes",
+        "pairs",
+        "mesh, s",
+        "matrices, s",
+        "modes and compliance, s",
+        "solve, s",
+        *names,
+    ]
+    return write_table(header, table)
+
+
+def tell_dominance(cost: dict) -> str:
+    """How large each error is at the package's defaults: more of a knob buys nothing where another is larger."""
+    rows, structure = cost["rows"], cost["structure"]
+    at = lambda knob, value: next((r for r in rows if r["knob"] == knob and r["value"] == value), None)  # noqa: E731
+    part = lambda knob, value: next(  # noqa: E731
+        (r["errors"]["tip"] for r in structure if r["knob"] == knob and abs(r["value"] - value) < 1e-9), None
+    )
+    base = at("samples", 32 * 9)
+    samples = [r for r in rows if r["knob"] == "samples"]
+    table = [
+        ["mesh, 1.4 mm, degree 1", percent(part("mesh size [mm], degree 1", 1.4)), "elements of degree 2"],
+        ["mesh, 0.7 mm, degree 1", percent(part("mesh size [mm], degree 1", 0.7)), "elements of degree 2"],
+        ["mesh, 2 mm, degree 2", percent(part("mesh size [mm], degree 2", 2.0)), "1.4 mm"],
+        ["pairs, 10 a flank, mesh 0.7 mm", percent(part("pairs a flank, mesh 0.7 mm", 10)), "20 a flank"],
+        ["N = 5", percent(at("N", 5)["errors"]["output"]), "N = 9"],
+        ["N = 9", percent(at("N", 9)["errors"]["output"]), "N = 15"],
+        ["30 modes", percent(part("modes", 30)), "60 modes"],
+    ]
+    if base and samples:
+        change = abs(base["errors"]["output"] - samples[-1]["errors"]["output"])
+        table.append(["32 samples a harmonic, N = 9", percent(change), "64 a harmonic"])
+    tolerance = [r for r in rows if r["knob"] == "tolerance"]
+    change = abs(tolerance[-2]["errors"]["output"] - tolerance[-1]["errors"]["output"])
+    table.append(["tolerance 1e-8", percent(change), "1e-10"])
+    return write_table(["error of the response at 1000 Hz by", "size", "what would lower it"], table)
+
+
+def tell_peak(peak: dict) -> str:
+    """Peak frequency and height by N."""
+    rows = [
+        [f"N = {n:g}", f"{f:.2f}", f"{1e3 * h:.4f}", percent(df), percent(dh), s] for n, f, h, df, dh, s in peak["rows"]
+    ]
+    f, h, s = peak["reference"]
+    rows.append(["time stepping, three points", f"{f:.2f}", f"{1e3 * h:.4f}", "", "", s])
+    return write_table(["", "peak, Hz", "rms, mm", "frequency off by", "height off by", "s"], rows)
+
+
+def tell_wear(rows: list[dict]) -> str:
+    """Cycle jumps against every cycle."""
+    table = [
+        [
+            "every cycle" if r["tolerance"] is None else f"{r['tolerance']:g}",
+            *(r["solves"], r["seconds"], percent(r["largest"]), percent(r["L2"])),
+        ]
+        for r in rows
+    ]
+    return write_table(["tolerance of a jump", "solves", "s", "largest error of depth", "all pairs"], table)
+
+
+def tell_adapted(rows: list[dict]) -> str:
+    """All harmonics against those chosen."""
+    table = [
+        [
+            *(r["case"], "all" if not r["share"] else f"{r['share']:g}", r["harmonics"], r["unknowns"], r["seconds"]),
+            percent(r["change"]) if r["share"] else "",
+        ]
+        for r in rows
+    ]
+    return write_table(["case", "share of forces left out", "harmonics", "unknowns", "s", "response changes by"], table)
+
+
+def tell_stages(stages: dict) -> str:
+    """Times of the stages of a run and the memory of solves."""
+    rows = [[name, *(f"{t:.3f}" for t in times)] for name, times in stages["stages"].items()]
+    memory = [[m["N"], m["unknowns"], m["peak_MB"]] for m in stages["memory"]]
+    return "\n\n".join(
+        [
+            write_table(["stage", "first run, s", "then, median", "least", "most"], rows),
+            write_table(["N", "unknowns", "memory of the solve, MB"], memory),
+        ]
+    )
+
+
+def tell_asked(rows: list[dict], found: dict) -> str:
+    """Accuracies asked for on the blade root, and over the sample."""
+    table = [
+        [
+            percent(r["value"]),
+            percent(r["errors"]["output"]),
+            percent(r["estimate"]),
+            r["N"],
+            r["unknowns"],
+            r["seconds"],
+        ]
+        for r in rows
+        if r["knob"] == "accuracy asked for"
+    ]
+    sample = [[cell if not isinstance(cell, float) else f"{cell:.3g}" for cell in row] for row in found["table"]]
+    return "\n\n".join(
+        [
+            "The blade root at 1000 Hz:",
+            write_table(["asked", "true error", "estimate", "highest harmonic", "unknowns", "s"], table),
+            "Over the sample: " + ", ".join(f"{n} {kind}" for kind, n in found["kinds"].items()) + ".",
+            write_table(found["header"], sample),
+        ]
+    )
+
+
+def list_misses(found: dict) -> str:
+    """Cases whose true error is above what was asked and thought to be reached, and those without a reference."""
+    rows = [
+        [c["name"], percent(r["accuracy"]), percent(r["estimate"]), percent(r["true"])]
+        for c in found["cases"]
+        if c["kind"] == "compared"
+        for r in c["asked"]
+        if r.get("reached") and r["true"] > r["accuracy"]
+    ]
+    return write_table(["case", "asked", "estimate", "true"], rows) if rows else "None."
+
+
+def write_page(cost: dict, found: dict, pictures: Path) -> str:
+    """The page as Markdown; draws its pictures."""
+    rows = cost["rows"]
+    for row in rows:  # time stepping counts by what it has reached, steady by its own judgement or not
+        row["converged"] |= row["knob"].startswith("time steps")
+    pictures.mkdir(exist_ok=True)
+    for name, knobs in PICTURE.items():
+        picked = [r for r in rows if r["knob"] in knobs]
+        chosen = {e: NAMES[e] for e in ("output", "rms", "normal forces", "wear")}
+        draw_work_precision(pictures / f"{name}.png", picked, chosen)
+    here = lambda knob: tell_knob(rows, knob)  # noqa: E731
+    paper = [r for r in rows if r["value"] == 5 and r["knob"] in ("N", 'N, static friction "zero"')]
+    paper_table = [
+        ["resolved" if r["knob"] == "N" else "zero", r["seconds"], *(percent(r["errors"][e]) for e in NAMES)]
+        for r in paper
+    ]
+    return PAGE_TEXT.format(
+        frequency=cost["frequency"],
+        reference=tell_reference(cost),
+        choice=tell_choice(rows),
+        dominance=tell_dominance(cost),
+        paper=write_table(["static friction", "s", *NAMES.values()], paper_table),
+        orders=here("N"),
+        mobility=here("N, rho_T by mobility"),
+        lean=here("N, rho_T by mobility, 8 N samples"),
+        odd=here("N, odd harmonics only"),
+        zero=here('N, static friction "zero"'),
+        samples=here("samples"),
+        normal=here("rho_N over default"),
+        tangential=here("rho_T over default"),
+        tolerance=here("tolerance"),
+        stepping=here("time steps"),
+        accelerated=here("time steps, accelerated"),
+        structure=tell_structure(cost["structure"]),
+        peak=tell_peak(cost["peak"]),
+        wear=tell_wear(cost["wear"]),
+        adapted=tell_adapted(cost["adapted"]),
+        stages=tell_stages(cost["stages"]),
+        asked=tell_asked(rows, found),
+        misses=list_misses(found),
+        without=", ".join(c["name"] for c in found["cases"] if c["kind"] not in ("compared", "linear")) or "none",
+        cores=cost["machine"]["cores"],
+        load=cost["machine"]["load_average"],
+    )
+
+
+PAGE_TEXT = """# What accuracy costs
+
+Written by `docs/generate_accuracy.py` from `benchmarks/accuracy_cost.py` and `benchmarks/accuracy_honesty.py`: no
+figure here was typed. `ewr cost SCENE` makes the same survey, shorter, of a scene of your own.
+
+The case is `demos/blade_root.toml` at {frequency:g} Hz, near the resonance of the slipping joint. Errors are relative.
+"Amplitude and phase" is the norm of the difference of the tip's harmonics over their norm; near a resonance the phase
+makes most of it. Violations are the largest penetration or tension, and the largest excess over the friction cone, each
+over the largest force or opening. Times are one processor's ({cores} cores, load average {load} as it began).
+
+## Ask for an accuracy
+
+    [solver]
+    accuracy = 0.01          # in place of harmonics and samples
+
+or `solve_to_accuracy(problem, 0.01)`. It starts with three harmonics, looks at what single Newton steps with more
+harmonics, more samples, another weight and fewer modes would change, raises the knob that dominates, and starts the
+next solve at the last. The estimate comes with the result, and so does what kept it from the accuracy. It speaks of the
+outputs at the frequency given, and of the contact solve and the modes: what the mesh does to them it does not know.
+
+{asked}
+
+The reference of the sample is time stepping, at two step sizes and extrapolated, or a harmonic solve of high order
+where stepping has not settled. "Cheapest" is the fastest fixed setting whose *true* error meets the accuracy, which a
+user could not know. Thought to be reached, and missed:
+
+{misses}
+
+Without a reference, and not in the shares: {without}.
+
+## What to choose
+
+The cheapest setting tried whose error is at most so large, and stays there with more harmonics:
+
+{choice}
+
+![Error against time, the best settings](pictures/work_precision_best.png)
+
+Numbers along the curves are N, or time steps a period; in the legend, the power of time with which the error falls. The
+grey band is the Pareto front: no other setting is both faster and more accurate.
+
+## Which error dominates
+
+{dominance}
+
+A knob is worth raising only while its error is among the largest of this table.
+
+## Where N = 5 stands, the paper's choice
+
+{paper}
+
+## The reference
+
+{reference}
+
+A harmonic solve shares no code with time stepping but the reduced model. Sliding and wear are less certain than the
+response: they are integrals of the absolute velocity, which rings from step to step where a contact node has little
+mass (`theta` above one half damps that; `tests/unit/test_cost.py` shows it). Forces are impulses over a step.
+
+## Knob by knob
+
+![Error against time, each knob](pictures/work_precision_knobs.png)
+
+Highest harmonic, with the default weights and samples:
+
+{orders}
+
+The same with `rho_T` as the mobility at the first harmonics left out, as `solve_to_accuracy` sets it:
+
+{mobility}
+
+And with 8 samples a harmonic:
+
+{lean}
+
+Without even harmonics but those loaded; the error that stays is theirs:
+
+{odd}
+
+With the mean friction force set to zero, as in the paper:
+
+{zero}
+
+Samples a period at N = 9:
+
+{samples}
+
+Weights at N = 9:
+
+{normal}
+
+{tangential}
+
+The solver's tolerance at N = 9:
+
+{tolerance}
+
+Time stepping from full stick until it finds itself steady, or for 120 periods; "unknowns" are steps a period, "steps"
+periods:
+
+{stepping}
+
+{accelerated}
+
+## Structure
+
+At N = 5; both degrees are compared with the finest mesh of degree 2, whose own error this table does not show. At a
+fixed frequency near a resonance a coarse mesh errs by the frequency that it shifts.
+
+{structure}
+
+## Peak
+
+{peak}
+
+## Wear
+
+Cycle jumps against solving every cycle:
+
+{wear}
+
+## Fewer harmonics
+
+Harmonics with the least contact forces are left out, up to a share of all: `choose_harmonics`. `solve_to_accuracy`
+does so with a share of a fiftieth of the accuracy, on its way from one solve to the next.
+
+{adapted}
+
+## Time by stage, and memory
+
+{stages}
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
+    parser.add_argument("--page", type=Path, default=PAGE, help="page to write")
+    arguments = parser.parse_args()
+    read = lambda name: json.loads((arguments.results / f"{name}.json").read_text(encoding="utf-8"))  # noqa: E731
+    arguments.page.parent.mkdir(parents=True, exist_ok=True)
+    text = write_page(read("accuracy_cost"), read("accuracy_honesty"), arguments.page.parent / "pictures")
+    arguments.page.write_text(text, encoding="utf-8")
+    print(f"wrote {arguments.page}")
+
+
+if __name__ == "__main__":
+    main()

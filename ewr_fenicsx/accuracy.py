@@ -1,0 +1,197 @@
+"""The cheapest solve that is accurate enough: starts cheap, raises the knob whose error dominates, and goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.estimates import (
+    ErrorEstimate,
+    choose_harmonics,
+    choose_samples,
+    estimate_harmonics,
+    estimate_modes,
+    estimate_samples,
+    estimate_weight,
+    match_mobility,
+    measure_distance,
+)
+from ewr_fenicsx.newton import solve
+from ewr_fenicsx.solution import PeriodicSolution
+
+FIRST_ORDER = 3  # highest harmonic of the first solve
+RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by
+GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
+SAMPLES = 8  # a highest harmonic, to begin with
+MOST_SAMPLES = 512  # a highest harmonic
+IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
+
+
+@dataclass(frozen=True)
+class Level:
+    """One solve on the way to an accuracy: what was chosen, what came out, and what it took."""
+
+    orders: tuple[int, ...]
+    samples: int
+    unknowns: int
+    estimate: ErrorEstimate
+    steps: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class AccurateSolution:
+    """A periodic solution and how accurate it is thought to be.
+
+    Attributes:
+        solution: The solution.
+        estimate: Its estimated errors.
+        accuracy: What was asked for.
+        reached: Whether the estimate meets it.
+        limit: What kept it from that; "" where nothing did.
+        levels: The solves that led there.
+        seconds: Wall time of everything.
+    """
+
+    solution: PeriodicSolution
+    estimate: ErrorEstimate
+    accuracy: float
+    reached: bool
+    limit: str
+    levels: tuple[Level, ...] = field(repr=False)
+    seconds: float
+
+    def summary(self) -> str:
+        """A few lines for people."""
+        found, orders = self.estimate, self.solution.orders
+        parts = {"harmonics": found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
+        shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
+        lines = [
+            f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
+            f"{orders[-1]}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
+            f"{self.seconds:.2f} s"
+        ]
+        if self.limit:
+            lines.append(f"  NOT as accurate as asked: {self.limit}")
+        return "\n".join([*lines, self.solution.summary()])
+
+
+def solve_to_accuracy(
+    problem: ContactProblem,
+    accuracy: float,
+    start: PeriodicSolution | None = None,
+    tolerance: float = 1e-8,
+    *,
+    highest: int = 63,
+    most_unknowns: int = 8000,
+    modes: Sequence[int] = (),
+) -> AccurateSolution:
+    """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
+
+    Starts with few harmonics and samples, estimates the error of each knob and raises the one that dominates, each
+    solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
+
+    Args:
+        problem: The problem; its own harmonics and samples are not looked at, weights that it gives are kept.
+        accuracy: Largest relative error of the outputs' oscillation over a period.
+        start: A solution on the same model, of a neighbouring problem, or None.
+        tolerance: Largest residual norm of each solve.
+        highest: Highest harmonic that may be used.
+        most_unknowns: Unknowns a solve may have.
+        modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
+            estimated; no solve can mend it. None: it is not looked at.
+
+    Returns:
+        The last solution. What could not be reached is said by ``reached`` and ``limit``.
+
+    Raises:
+        ModelError: The accuracy is not between 0 and 1.
+        NotConverged: Not even the first solve found a solution.
+    """
+    if not 0 < accuracy < 1:
+        raise ModelError(f"accuracy = {accuracy}; give a relative error between 0 and 1, such as 0.01")
+    begin = time.perf_counter()
+    loaded = [h for h, f in problem.loads.items() if np.any(f)]
+    top, density, dropped = max([FIRST_ORDER, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
+    levels: list[Level] = []
+    solution, estimate, limit = start, None, ""
+    while not limit:
+        posed = pose_level(problem, top, density, dropped)
+        try:
+            found = solve(posed, solution, tolerance)
+        except NotConverged as error:
+            if not levels:
+                raise
+            limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
+            break
+        before, solution = solution if levels else None, found
+        estimate = judge(solution, before, levels, modes, accuracy)
+        levels.append(
+            Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
+        )
+        if estimate.total <= accuracy:
+            break
+        if estimate.dominating == "modes":
+            limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
+        elif estimate.dominating == "samples":
+            density *= 2
+            if density > MOST_SAMPLES:
+                limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
+        else:
+            raised = next_order(levels, accuracy)
+            needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
+            dropped |= set(posed.basis.orders) - needed
+            room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
+            raised = min(raised, highest, top + room)
+            if raised <= top:
+                limit = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
+                limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit
+            top = raised
+    if np.isnan(estimate.samples):  # a limit was hit while harmonics dominated
+        estimate = replace(judge(solution, None, levels, modes, np.inf), harmonics=estimate.harmonics)
+    return AccurateSolution(
+        solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
+    )
+
+
+def pose_level(problem: ContactProblem, top: int, density: float, dropped: frozenset[int]) -> ContactProblem:
+    """The problem with harmonics up to ``top`` but for those ``dropped``, samples and weights to match."""
+    kept = tuple(h for h in range(top + 1) if h not in dropped)
+    chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
+    posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
+    return posed if problem.rho_tangential is not None else replace(posed, rho_tangential=match_mobility(posed))
+
+
+def judge(
+    solution: PeriodicSolution,
+    before: PeriodicSolution | None,
+    levels: Sequence[Level],
+    modes: Sequence[int],
+    accuracy: float,
+) -> ErrorEstimate:
+    """Estimated errors of a solution; the change from the level before counts as well where it tells of larger ones.
+
+    Where the harmonics alone are above the accuracy, they are raised whatever the other errors are: those wait.
+    """
+    harmonics = estimate_harmonics(solution)
+    if before is not None and levels[-1].orders[-1] != solution.orders[-1]:
+        growth = solution.orders[-1] / max(1, levels[-1].orders[-1])
+        harmonics = max(harmonics, measure_distance(before, solution) / (growth**RATE - 1))
+    if harmonics > accuracy:
+        return ErrorEstimate(harmonics, np.nan)
+    error_of_modes = estimate_modes(solution, modes) if len(modes) else np.nan
+    return ErrorEstimate(harmonics, estimate_samples(solution), estimate_weight(solution), error_of_modes)
+
+
+def next_order(levels: Sequence[Level], accuracy: float) -> int:
+    """Highest harmonic of the next solve, by the rate at which errors fall."""
+    here = levels[-1]
+    goal = max(0.8 * accuracy - np.nan_to_num(here.estimate.samples), 0.3 * accuracy)
+    wanted = (np.nanmax([here.estimate.harmonics, here.estimate.weight]) / goal) ** (1 / RATE)
+    low, high = GROWTH
+    return int(np.ceil(max(1, here.orders[-1]) * min(max(wanted, low), high)))

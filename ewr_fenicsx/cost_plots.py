@@ -1,0 +1,76 @@
+"""Work-precision pictures: error against time, a curve a knob, and which settings nothing beats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ewr_fenicsx.cost import find_front, fit_slope
+
+MARKS = "osD^vP*Xh<>p"
+COLOURS = ("#1d6fb8", "#c1121f", "#2a9d57", "#e08e0b", "#7b3fa0", "#444444", "#00838f", "#b5539c", "#8d6e2f", "#5577aa")
+
+
+def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str, str], title: str = "") -> None:
+    """Error against processor time on double logarithmic axes, a panel an error.
+
+    Args:
+        path: Picture to write.
+        rows: As ``survey`` returns them.
+        errors: Name of an error in the rows -> title of its panel.
+        title: Of the whole.
+    """
+    columns = min(2, len(errors))
+    lines = -(-len(errors) // columns)
+    figure = Figure(figsize=(6.2 * columns, 4.3 * lines + 1.6), layout="constrained")
+    grid = figure.subplots(lines, columns, squeeze=False)
+    knobs = list(dict.fromkeys(row["knob"] for row in rows))
+    for axes, (error, label) in zip(grid.flat, errors.items(), strict=False):
+        for k, knob in enumerate(knobs):
+            mine = [row for row in rows if row["knob"] == knob and row["converged"] and row["errors"][error] > 0]
+            if not mine:
+                continue
+            seconds, sizes = [r["seconds"] for r in mine], [r["errors"][error] for r in mine]
+            name = knob
+            if not np.isnan(slope := fit_slope(seconds, sizes)) and max(seconds) > 3 * min(seconds):
+                name += f"  ({slope:.1f})"
+            axes.plot(
+                seconds,
+                sizes,
+                MARKS[k % len(MARKS)] + "-",
+                color=COLOURS[k % len(COLOURS)],
+                markersize=4,
+                linewidth=1,
+                alpha=0.85,
+                label=name,
+            )
+            for row in mine if knob in ("N", "time steps") else ():
+                axes.annotate(
+                    f"{row['value']:g}",
+                    (row["seconds"], row["errors"][error]),
+                    xytext=(3, 4),
+                    textcoords="offset points",
+                    fontsize=7,
+                    color=COLOURS[k % len(COLOURS)],
+                )
+        front = [rows[i] for i in find_front(rows, error) if rows[i]["errors"][error] > 0]
+        axes.plot(
+            [r["seconds"] for r in front],
+            [r["errors"][error] for r in front],
+            "-",
+            color="#000000",
+            linewidth=6,
+            alpha=0.12,
+            zorder=0,
+            label="Pareto front",
+        )
+        axes.set(xscale="log", yscale="log", xlabel="processor time [s]", ylabel="relative error", title=label)
+        axes.grid(visible=True, which="major", alpha=0.3)
+        axes.legend(fontsize=6.5, framealpha=0.7)
+    for axes in list(grid.flat)[len(errors) :]:
+        axes.set_visible(False)
+    figure.suptitle(title)
+    figure.savefig(path, dpi=90)

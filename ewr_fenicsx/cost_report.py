@@ -1,0 +1,106 @@
+"""``ewr cost``: what each knob of a scene's contact solve costs and buys, and the cheapest setting for an accuracy."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ewr_fenicsx.chain import Chain, Progress, Stopwatch, pose_problem
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
+from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.estimates import estimate_errors, match_mobility
+from ewr_fenicsx.newton import solve
+
+ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
+HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
+LEVELS = (0.1, 0.01, 0.001)
+STEPS = (400, 800)  # a period, of time stepping
+TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "normal forces": "normal forces"}
+
+
+@dataclass(frozen=True, eq=False)
+class CostReport:
+    """A survey of a scene: rows as of ``survey``, how far its reference can be trusted, and a few lines for people."""
+
+    rows: list[dict]
+    reference: str
+    own_error: float
+    told: str
+
+    def write(self, folder: Path) -> list[Path]:
+        """Writes ``cost.json`` and ``cost.png`` into a folder."""
+        from ewr_fenicsx.cost_plots import draw_work_precision
+
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / "cost.json", folder / "cost.png"]
+        content = {"reference": self.reference, "own_error": self.own_error, "rows": self.rows}
+        files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")
+        draw_work_precision(files[1], [row for row in self.rows if row["knob"] in knobs], TITLES, self.reference)
+        return files
+
+
+def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: Progress | None = None) -> CostReport:
+    """Turns the knobs of a scene's contact solve, one at a time, at its first frequency.
+
+    Args:
+        chain: The scene's chain.
+        against_time_stepping: Whether the reference is time stepping, which takes longer but shares no code with what
+            it judges; else a harmonic solve with many harmonics.
+        progress: As in ``build_chain``.
+
+    Raises:
+        SceneError: Nothing oscillates, so that there is nothing to choose.
+    """
+    watch = Stopwatch(progress)
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    loaded = [h for h, f in problem.loads.items() if h and f.any()]
+    if not loaded or not problem.frequency:
+        raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
+    problem = replace(problem, rho_normal=None, rho_tangential=None, samples=None)
+    with watch.stage("reference"):
+        find = step_reference if against_time_stepping else solve_reference
+        reference, own, name, highest = find(problem, max(loaded))
+    with watch.stage("survey"):
+        orders = [n for n in ORDERS if n < 0.7 * highest]
+        rows = survey(
+            list_settings(problem, orders, fixed=max(min(9, highest // 3), max(loaded))), reference, repeats=1
+        )
+    told = [f"reference: {name}; its own error is thought to be {own:.1g}"]
+    for level in LEVELS:
+        if level < own:
+            told.append(f"  {level:>6.1%}: the reference is not good enough to tell")
+            continue
+        best = choose_cheapest([row for row in rows if row["knob"].startswith("N")], "output", level)
+        told.append(f"  {level:>6.1%}: " + ("none of the settings tried" if best is None else _tell(best)))
+    return CostReport(rows, name, own, "\n".join(told))
+
+
+def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:
+    """Figures of a harmonic solve of high order, its estimated error, its name and its highest harmonic."""
+    highest = max(2 * loaded + 2, min(HIGHEST, MOST_UNKNOWNS // (2 * max(1, problem.system.rows.shape[0]))))
+    posed = replace(problem, harmonics=highest)
+    solution = solve(replace(posed, rho_tangential=match_mobility(posed)))
+    return measure_figures(solution), estimate_errors(solution).total, f"harmonic balance, N = {highest}", highest
+
+
+def step_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:
+    """Figures of the steady state of time stepping, their change with the last halving of the step, name, and 31."""
+    from ewr_fenicsx.time_integration import integrate
+
+    start, found = solve(replace(problem, harmonics=max(9, 2 * loaded))), []
+    for steps in STEPS:
+        steady = integrate(replace(problem, harmonics=63), start, steps, 200, 1e-5, acceleration=True)
+        start = steady.end
+        found.append(measure_figures(steady))
+    own = compare_figures(found[0], found[1])["output"] / 3  # the scheme is of second order
+    output = found[1].output + (found[1].output - found[0].output) / 3
+    name = f"time stepping, {STEPS[-1]} steps a period" + ("" if steady.converged else f", {steady.reason}")
+    return replace(found[1], output=output), own, name, HIGHEST
+
+
+def _tell(row: dict) -> str:
+    error, size = row["errors"]["output"], row["unknowns"]
+    return f"{row['knob']} = {row['value']:g}: {error:.1e}, {size} unknowns, {row['seconds']:.2f} s"

@@ -1,0 +1,236 @@
+"""How far a periodic solution is from the one without truncation, estimated from the solution itself.
+
+The error is that of the outputs' oscillation over a period: the norm of the difference over the norm, the largest over
+the outputs; phase counts. It is estimated by single Newton steps in which one knob is raised:
+
+- *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer.
+- *samples*: twice as many at the same harmonics.
+- *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
+- *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.compliance import condense
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.newton import carry_over
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import leave_out_idle
+
+LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
+WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
+LEAST_SAMPLES = 64
+MODES_DROPPED = 1 / 3
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a solution, relative, by cause; NaN where a cause was not looked at.
+
+    Attributes:
+        harmonics: By the harmonics left out.
+        samples: By the samples at which the laws are evaluated.
+        weight: What another weight of the friction law would change; it is truncation seen from another side.
+        modes: By the modes left out of the reduced model.
+    """
+
+    harmonics: float
+    samples: float
+    weight: float = np.nan
+    modes: float = np.nan
+
+    @property
+    def total(self) -> float:
+        """The whole: causes that are independent added up."""
+        return float(np.nanmax([self.harmonics, self.weight]) + np.nansum([self.samples, self.modes]))
+
+    @property
+    def dominating(self) -> str:
+        """The knob that is to be raised first; more harmonics also take away what the weight does."""
+        errors = {"harmonics": np.nanmax([self.harmonics, self.weight]), "samples": self.samples, "modes": self.modes}
+        return max(errors, key=lambda name: -1.0 if np.isnan(errors[name]) else errors[name])
+
+
+def compare_responses(here: ComplexArray, there: ComplexArray) -> float:
+    """Relative distance of two responses ``(n_h, p)`` at the same harmonics above 0: the worst of ``p`` columns."""
+    size = np.linalg.norm(there, axis=0)
+    distance = np.linalg.norm(here - there, axis=0)
+    moves = size > 1e-12 * size.max(initial=0.0)
+    return float((distance[moves] / size[moves]).max(initial=0.0))
+
+
+def read_response(
+    problem: ContactProblem, forces: ComplexArray, rigid: RealArray, orders: Sequence[int]
+) -> ComplexArray:
+    """Oscillation of the outputs, ``(n_h, p)`` at ``orders`` above 0; without outputs, of all contact rows as one."""
+    compliance, known = problem.system.compliance, problem.basis.orders
+    if problem.model.outputs:
+        amplitudes = np.column_stack([compliance.output(name, forces, rigid) for name in problem.model.outputs])
+    else:
+        amplitudes = compliance.motion(forces, rigid)
+    response = np.zeros((len(orders), amplitudes.shape[1]), dtype=complex)
+    for j, h in enumerate(orders):
+        if h and h in known:
+            response[j] = amplitudes[known.index(h)]
+    return response if problem.model.outputs else response.reshape(-1, 1)
+
+
+def measure_distance(solution: PeriodicSolution, other: PeriodicSolution) -> float:
+    """Relative distance of the outputs' oscillations of two solutions on the same model; phase counts."""
+    orders = sorted({*solution.orders, *other.orders})
+    here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
+    return compare_responses(here, there)
+
+
+def step_towards(solution: PeriodicSolution, problem: ContactProblem) -> float:
+    """How far one Newton step on a neighbouring problem moves the outputs of a solution, relative.
+
+    Args:
+        solution: Converged.
+        problem: The same joint with other harmonics, samples or weights.
+
+    Returns:
+        Infinity where the step cannot be solved for.
+    """
+    problem = leave_out_idle(problem, solution)
+    orders = problem.basis.orders
+    before = read_response(solution.problem, solution.forces, solution.rigid, orders)
+    if problem.system.rows.shape[0] == 0:
+        return compare_responses(read_response(problem, np.zeros((len(orders), 0)), np.zeros(0), orders), before)
+    balance = HarmonicBalance(problem.system)
+    forces, motion, rigid = carry_over(solution, balance)
+    unknowns = balance.pack(forces, rigid)
+    step = balance.linearise(unknowns, motion)  # at its own motion, which another model's compliance would change
+    try:
+        moved = balance.unpack(unknowns - step.solve(step.residual))
+    except np.linalg.LinAlgError:
+        return np.inf
+    return compare_responses(read_response(problem, *moved, orders), before)
+
+
+def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:
+    """The problem with all harmonics up to half as high again, or with ``orders``, and samples to match."""
+    highest = problem.basis.orders[-1]
+    chosen = tuple(range(highest + max(highest // 2 + 2, LEAST_LOOKAHEAD))) if orders is None else orders
+    density = problem.basis.samples / max(1, highest)
+    return replace(problem, harmonics=chosen, samples=choose_samples(chosen[-1], density))
+
+
+def choose_samples(highest: int, density: float) -> int:
+    """Samples a period, even: ``density`` a highest harmonic, and not too few for the low ones."""
+    return 2 * int(np.ceil(max(LEAST_SAMPLES, density * highest) / 2))
+
+
+def estimate_harmonics(solution: PeriodicSolution) -> float:
+    """Error by the harmonics left out: one Newton step with half as many again."""
+    return step_towards(solution, raise_harmonics(solution.problem))
+
+
+def estimate_samples(solution: PeriodicSolution) -> float:
+    """Error by the sampling of the laws: one Newton step with twice the samples."""
+    problem = solution.problem
+    return step_towards(solution, replace(problem, samples=2 * problem.basis.samples))
+
+
+def estimate_weight(solution: PeriodicSolution) -> float:
+    """What another weight of the friction law would change: one Newton step with ``rho_T`` doubled."""
+    problem = solution.problem
+    weight = read_friction_weight(problem)
+    if weight is None:
+        return 0.0
+    return step_towards(solution, replace(problem, rho_tangential=WEIGHT_CHANGE * weight))
+
+
+def read_friction_weight(problem: ContactProblem) -> RealArray | None:
+    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without friction [(m/s)/N]."""
+    weight, found = np.ones(problem.model.pairs), False
+    for law in problem.system.laws:
+        if law.direction == "tangential" and hasattr(law, "rho"):
+            weight[law.pairs], found = law.rho, True
+    return weight if found else None
+
+
+def estimate_errors(solution: PeriodicSolution) -> ErrorEstimate:
+    """All that a solution by itself says of its errors: three Newton steps, the first with more harmonics."""
+    return ErrorEstimate(estimate_harmonics(solution), estimate_samples(solution), estimate_weight(solution))
+
+
+def match_mobility(problem: ContactProblem) -> RealArray | None:
+    """``(K_c,)`` weights ``rho_T`` that close the truncation: each pair's mobility at the first harmonics left out.
+
+    The projected law would be exact if those harmonics obeyed ``v_h = rho_T lam_h`` (docs/method.md). Geometric mean
+    over some of them, for a single one may hit a resonance. None without friction [(m/s)/N].
+    """
+    weight = read_friction_weight(problem)
+    if weight is None:
+        return None
+    highest, system = problem.basis.orders[-1], problem.system
+    beyond = tuple(dict.fromkeys(round(highest * f) + 1 for f in (1.0, 1.25, 1.5)))
+    compliance = condense(system.model, system.rows, {}, problem.omega, beyond)
+    own = np.abs(np.diagonal(compliance.flexibility, axis1=1, axis2=2)) * (np.array(beyond) * problem.omega)[:, None]
+    mobility = np.exp(np.log(own).mean(axis=0))
+    for law in system.laws:
+        if law.direction == "tangential" and hasattr(law, "rho"):
+            weight[law.pairs] = mobility[system.row_of("tangential", law.pairs)]
+    return weight
+
+
+def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:
+    """The reduced model without some of its modal coordinates."""
+    kept = np.setdiff1d(np.arange(model.size), coordinates)
+    return replace(
+        model,
+        mass=model.mass[np.ix_(kept, kept)],
+        damping=model.damping[np.ix_(kept, kept)],
+        stiffness=model.stiffness[np.ix_(kept, kept)],
+        normal=None if model.normal is None else model.normal[:, kept],
+        tangential=None if model.tangential is None else model.tangential[:, kept],
+        load={h: f[kept] for h, f in model.load.items()},
+        rigid_modes=model.rigid_modes[kept],
+        outputs={name: row[kept] for name, row in model.outputs.items()},
+    )
+
+
+def estimate_modes(solution: PeriodicSolution, modes: Sequence[int]) -> float:
+    """Error by the modes left out: one Newton step with a third of those kept left out as well, the highest.
+
+    Args:
+        solution: Converged.
+        modes: Which coordinates of the model are modal, by rising frequency.
+    """
+    problem = solution.problem
+    count = max(1, round(MODES_DROPPED * len(modes)))
+    fewer = list(modes)[-count:]
+    model = drop_modes(problem.model, fewer)
+    load = None if problem.load is None else {h: np.delete(f, fewer) for h, f in problem.load.items()}
+    return step_towards(solution, replace(problem, model=model, load=load))
+
+
+def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...]:
+    """The harmonics that matter: all but those with the least contact forces, together below a share of the whole.
+
+    Loaded harmonics stay, and so do the mean and the first.
+
+    Args:
+        solution: Converged.
+        share: Of the oscillating forces' norm, that may be left out.
+    """
+    orders = np.array(solution.orders)
+    size = np.linalg.norm(solution.forces, axis=1)
+    whole = np.linalg.norm(size[orders > 0])
+    loaded = [h for h, f in solution.problem.loads.items() if np.any(f)]
+    fixed = np.isin(orders, [0, 1, *loaded])
+    small_first = [j for j in np.argsort(size) if not fixed[j]]
+    out = {
+        j
+        for j, sum_ in zip(small_first, np.sqrt(np.cumsum(size[small_first] ** 2)), strict=True)
+        if sum_ <= share * whole
+    }
+    return tuple(int(h) for j, h in enumerate(orders) if j not in out)

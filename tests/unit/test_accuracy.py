@@ -1,0 +1,180 @@
+"""Estimated errors against true ones; an accuracy that is asked for against that which comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.estimates import (
+    choose_harmonics,
+    drop_modes,
+    estimate_errors,
+    estimate_modes,
+    estimate_samples,
+    match_mobility,
+    measure_distance,
+    step_towards,
+)
+
+FREQUENCY = 0.7 / (2 * np.pi)
+
+
+def rub_and_lift_off(harmonics=5, **settings) -> ContactProblem:
+    return ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), FREQUENCY, harmonics, **settings)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Four times the harmonics of any solve here, and another weight: what both agree on is right."""
+    return solve(rub_and_lift_off(150, samples=2400))
+
+
+def test_the_truth_does_not_depend_on_the_weight(truth):
+    weight = match_mobility(truth.problem)
+    other = solve(replace(truth.problem, rho_tangential=weight), start=truth)
+    assert measure_distance(other, truth) < 3e-4
+
+
+@pytest.mark.parametrize("harmonics", [3, 5, 9, 15, 25])
+def test_the_estimate_is_within_a_factor_of_five_of_the_true_error(harmonics, truth):
+    solution = solve(rub_and_lift_off(harmonics))
+    true = measure_distance(solution, truth)
+    assert true / 5 < estimate_errors(solution).total < 5 * true
+
+
+def test_the_effect_of_the_samples_is_estimated(truth):
+    """Coarse sampling: the estimate against a solve with many."""
+    coarse = solve(rub_and_lift_off(9, samples=20))
+    fine = solve(rub_and_lift_off(9, samples=2400), start=coarse)
+    true = measure_distance(coarse, fine)
+    assert true > 1e-3
+    assert true / 5 < estimate_samples(coarse) < 5 * true
+
+
+def test_a_step_on_the_same_problem_goes_nowhere():
+    solution = solve(rub_and_lift_off())
+    assert step_towards(solution, replace(solution.problem)) < 1e-7
+
+
+def test_full_stick_has_no_error():
+    problem = ContactProblem(dovetail(excitation=0.5), ContactLaws(friction=0.8), 300.0, 3)
+    assert estimate_errors(solve(problem)).total < 1e-9
+
+
+@pytest.mark.parametrize("accuracy", [0.1, 0.01, 0.003])
+def test_the_true_error_is_at_most_the_one_asked_for(accuracy, truth):
+    found = solve_to_accuracy(rub_and_lift_off(), accuracy)
+    assert found.reached and not found.limit
+    assert measure_distance(found.solution, truth) <= accuracy
+    assert found.estimate.total <= accuracy
+
+
+def test_less_accuracy_takes_fewer_unknowns():
+    taken = [solve_to_accuracy(rub_and_lift_off(), a).solution.unknowns for a in (0.1, 0.01, 0.003)]
+    assert taken[0] < taken[1] < taken[2]
+
+
+def test_what_cannot_be_reached_is_said():
+    found = solve_to_accuracy(rub_and_lift_off(), 1e-4, highest=9)
+    assert not found.reached
+    assert "harmonic 9 is the highest allowed" in found.limit
+    assert found.estimate.total > 1e-4
+    assert found.solution.orders[-1] == 9
+    assert "NOT as accurate as asked" in found.summary()
+
+
+def test_unknowns_are_limited():
+    found = solve_to_accuracy(rub_and_lift_off(), 1e-4, most_unknowns=40)
+    assert "take more than 40 unknowns" in found.limit
+    assert found.solution.unknowns <= 40
+
+
+def test_modes_that_are_too_few_are_the_limit():
+    """The lift-off oscillator's first mass as if it were a modal coordinate: without it all is different."""
+    found = solve_to_accuracy(rub_and_lift_off(), 0.01, modes=[0])
+    assert not found.reached
+    assert "the 1 modes of the reduced model leave an error of" in found.limit
+
+
+@pytest.mark.parametrize("accuracy", [0.0, 1.0, -0.1])
+def test_an_accuracy_that_is_none_is_refused(accuracy):
+    with pytest.raises(ModelError, match="between 0 and 1"):
+        solve_to_accuracy(rub_and_lift_off(), accuracy)
+
+
+def test_weights_that_are_given_are_kept():
+    found = solve_to_accuracy(rub_and_lift_off(rho_tangential=0.3), 0.05)
+    assert found.solution.problem.rho_tangential == 0.3
+
+
+def test_a_linear_problem_is_exact():
+    laws = ContactLaws(normal="bonded", tangential="bonded")
+    found = solve_to_accuracy(ContactProblem(lift_off_oscillator(), laws, FREQUENCY), 0.01)
+    assert found.estimate.total == 0.0 and len(found.levels) == 1
+
+
+def test_idle_harmonics_stay_left_out():
+    laws = ContactLaws(normal="prescribed", friction=0.3, normal_force=1.0)
+    found = solve_to_accuracy(ContactProblem(friction_oscillator(damping=0.02), laws, FREQUENCY), 0.003)
+    assert found.reached
+    assert set(found.solution.left_out) == {h for h in found.solution.orders if h % 2 == 0}
+
+
+def test_harmonics_without_contact_forces_are_not_chosen():
+    """A listed set keeps the even ones, which are zero by symmetry: the choice finds that by itself."""
+    laws = ContactLaws(normal="prescribed", friction=0.3, normal_force=1.0)
+    solution = solve(ContactProblem(friction_oscillator(damping=0.02), laws, FREQUENCY, tuple(range(12))))
+    assert choose_harmonics(solution, 1e-6) == (0, 1, 3, 5, 7, 9, 11)
+    assert choose_harmonics(solution, 0.5) == (0, 1)
+
+
+def test_the_weight_that_closes_the_truncation_is_the_mobility():
+    """At one pair: the speed per force at harmonics next to the highest, from the model's own matrices."""
+    problem = rub_and_lift_off(12)
+    model, omega = problem.model, problem.omega
+    row, speeds = model.tangential[0], []
+    for h in (13, 16, 19):
+        w = h * omega
+        x = np.linalg.solve(model.stiffness - w**2 * model.mass + 1j * w * model.damping, row)
+        speeds.append(w * abs(row @ x))
+    assert match_mobility(problem) == pytest.approx([np.prod(speeds) ** (1 / 3)], rel=1e-9)
+
+
+def test_dropped_modes_are_seen():
+    """Coordinates stiff enough not to matter are dropped unseen, soft ones are not."""
+    base = random_structure(size=6, pairs=2, seed=4)
+    n = 8
+    stiffness, mass = np.eye(n), np.eye(n)
+    stiffness[:6, :6], mass[:6, :6] = base.stiffness, base.mass
+    mass[:6, 6] = mass[6, :6] = mass[:6, 7] = mass[7, :6] = 0.1
+    grow = lambda rows: np.hstack([rows, np.zeros((rows.shape[0], 2))])  # noqa: E731
+
+    def make(high: float):
+        k = stiffness.copy()
+        k[6, 6], k[7, 7] = 3.0, high
+        load = np.concatenate([np.ones(6), [0.0, 0.0]])
+        return replace(
+            base,
+            mass=mass,
+            stiffness=k,
+            damping=0.05 * k,
+            normal=grow(base.normal),
+            tangential=grow(base.tangential),
+            load={0: -20 * grow(base.normal).sum(axis=0), 1: 3 * load},
+            outputs={"tip": load},
+            rigid_modes=None,
+        )
+
+    laws = ContactLaws(friction=0.2)
+    for high, limits in ((1e5, (0, 1e-4)), (3.0, (3e-4, 1.0))):
+        solution = solve(ContactProblem(make(high), laws, 0.05, 5))
+        estimate = estimate_modes(solution, [6, 7])
+        without = solve(replace(solution.problem, model=drop_modes(solution.problem.model, [7])))
+        assert limits[0] <= estimate <= limits[1]
+        true = measure_distance(without, solution)
+        assert true / 5 < estimate < 5 * true
