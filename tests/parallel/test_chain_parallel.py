@@ -18,7 +18,7 @@ def run_chain(mpirun, tmp_path, ranks, source, parameters, degree):
     finished = mpirun(
         ranks, "python", "-m", "mpi4py", SCRIPT, source, json.dumps(parameters), str(degree), target, timeout=120.0
     )
-    assert finished.returncode == 0, finished.stderr
+    assert finished.returncode == 0, finished.stderr + finished.stdout
     with np.load(target) as figures:
         return dict(figures)
 
