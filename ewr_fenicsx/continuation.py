@@ -9,7 +9,7 @@ Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class BranchPoint:
     Attributes:
         parameter: Value of the parameter.
         unknowns: ``(size,)`` scaled unknowns; every balance of the branch must use the same units.
-        steps: Newton steps that it took.
+        steps: Newton steps that it took, tries that failed included.
     """
 
     parameter: float
@@ -65,11 +65,12 @@ def trace_branch(
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
             corners are turned: non-smooth laws make branches turn back on themselves in a point.
     """
-    here, tangent, turned = start, np.append(np.zeros(start.unknowns.size), 1.0), False
+    here, tangent, turned, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), False, 0
     if before is not None:
         tangent = _point_to(before, start, span)
     while step >= smallest_step:
-        found = _correct(balance_at, here, tangent, step, span, tolerance, corrector_steps)
+        found, taken = _correct(balance_at, here, tangent, step, span, tolerance, corrector_steps)
+        spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None
         if found is None and 0.5 * step < smallest_step and np.isfinite(stray) and not turned:
@@ -81,9 +82,9 @@ def trace_branch(
             step *= 0.5
             continue
         tangent, turned = _point_to(here, found, span), False
-        yield found
-        here = found
-        step = min(largest_step, step * (1.6 if found.steps <= 5 else 1.0 if found.steps <= 8 else 0.7))
+        yield replace(found, steps=spent)
+        here, spent = found, 0
+        step = min(largest_step, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
 
 
 def measure_arc(a: BranchPoint, b: BranchPoint, span: float) -> float:
@@ -112,25 +113,26 @@ def _turn_corner(
 
 def _correct(
     balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, step: float, span: float, tolerance: float, limit: int
-) -> BranchPoint | None:
+) -> tuple[BranchPoint | None, int]:
+    """The branch's point a step ahead, or None, and the Newton steps taken."""
     z, s = here.unknowns + step * tangent[:-1], here.parameter + step * tangent[-1] * span
     balance = balance_at(s)
     norm = np.linalg.norm(balance.residual(z))
     for taken in range(limit):
         if norm <= tolerance:
-            return BranchPoint(s, z, taken)
+            return BranchPoint(s, z, taken), taken
         linear = balance.linearise(z)
         nudge = _DERIVATIVE_STEP * span
         slope = (balance_at(s + nudge).residual(z) - linear.residual) / _DERIVATIVE_STEP
         try:
             along, across = linear.solve(linear.residual), linear.solve(slope)
         except np.linalg.LinAlgError:
-            return None
+            return None, taken + 1
         # the point stays in the plane: tangent . (dz, ds) = 0
         ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
         dz = -along - ds * across
         if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
-            return None
+            return None, taken + 1
         shrink = 1.0
         while True:
             trial = balance_at(s + shrink * ds * span)
@@ -139,6 +141,6 @@ def _correct(
                 break
             shrink *= 0.5
             if shrink < 1e-3:
-                return None
+                return None, taken + 1
         z, s, norm, balance = z + shrink * dz, s + shrink * ds * span, new, trial
-    return None
+    return None, limit

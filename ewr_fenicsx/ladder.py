@@ -5,15 +5,16 @@ are all the Newton steps that the way took:
 
 1. ``climb``: growing sets of harmonics, each started at the one before.
 2. ``walk_weights``: weights of the laws far from the defaults are approached from there.
-3. ``sharpen_corners``: laws with rounded corners, sharpened step by step.
+3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
 4. ``climb`` through more sets, and on one where Newton stalls 3., then ``trace_load``: the oscillating load from a
    small share to the whole, past folds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -31,7 +32,10 @@ FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
 MOST_STEPS = 500  # Newton steps after which no further path is begun
-SHARP, BLUNT = 1e-7, 1e3  # widths of rounded corners, over the mean contact force, that count as sharp and as hopeless
+SHARP, BLUNT = 1e-7, 1e4  # widths of rounded corners, over the mean contact force, that count as sharp and as hopeless
+NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a failed attempt, over its residual
+LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
+ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
 
@@ -79,29 +83,51 @@ def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: 
 
 
 def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """From full stick through laws with ever sharper corners to the exact ones.
+    """Through laws with rounded corners, along the branch of their solutions over the logarithm of the width, to exact.
+
+    The branch begins near the failed attempt, where corners as wide as what it left over hold, or else at full stick
+    with corners as wide as it takes. It is traced past folds, which the rounding moves into view.
 
     Returns:
         The solution, or the better of what was found last and the ``failed`` attempt; the steps of both counted.
     """
     unit = balance.force_unit / np.sqrt(balance.rows)
-    unknowns, steps = balance.pack(*balance.full_stick), failed.iterations
-    width, reached, ratio = 1.0, None, 0.2
-    while SHARP < width < BLUNT and ratio < 0.9:
-        rounded = HarmonicBalance(round_corners(balance.system, width * unit), balance.force_unit)
-        attempt = run_newton(rounded, unknowns, max(1e-3 * width, 0.1 * tolerance), "elimination", COARSE_STEPS)
+
+    def at(logarithm: float) -> HarmonicBalance:
+        width = np.exp(np.clip(logarithm, *np.log((1e-3 * SHARP, 1e3 * BLUNT)))) * unit
+        return HarmonicBalance(round_corners(balance.system, width), balance.force_unit)
+
+    near = [w for w in failed.residual * NEAR_WIDTHS if w < 1.0]
+    blunt = [w for w in 8.0 ** np.arange(6) if w <= BLUNT]
+    attempt, steps, width = failed, failed.iterations, np.inf
+    for start, widths in ((failed.unknowns, near), (balance.pack(*balance.full_stick), blunt)):
+        begun, taken = _round_until_solved(at, start, widths)
+        steps += taken
+        if begun is None:
+            continue
+        here, goal = begun, min(tolerance, 1e-3 * np.exp(begun.parameter))
+        branch = trace_branch(at, begun, -2.0, step=1.0, smallest_step=1e-6, tolerance=goal)
+        for point in islice(branch, BRANCH_POINTS):
+            steps += point.steps
+            here = point
+            if here.parameter < np.log(SHARP) or np.linalg.norm(here.unknowns) > LOST:
+                break
+        attempt, width = run_newton(balance, here.unknowns, tolerance, "elimination"), np.exp(here.parameter)
         steps += attempt.iterations
         if attempt.converged:
-            unknowns, reached = attempt.unknowns, width
-            width, ratio = width * ratio, max(ratio**1.5, 0.05)
-        elif reached is None:
-            width *= 4.0
-        else:
-            ratio = np.sqrt(ratio)
-            width = reached * ratio
-    attempt = run_newton(balance, unknowns, tolerance, "elimination")
-    steps += attempt.iterations
-    return _choose(failed, attempt, steps, f"corners as sharp as {reached or np.inf:.0e} of the contact forces")
+            break
+    return _choose(failed, attempt, steps, f"corners as sharp as {width:.0e} of the contact forces")
+
+
+def _round_until_solved(at: BalanceAt, start: RealArray, widths: Sequence[float]) -> tuple[BranchPoint | None, int]:
+    """The solution with the first of ``widths`` at which Newton finds one from ``start``, and the steps of all."""
+    steps = 0
+    for width in widths:
+        rounded = run_newton(at(np.log(width)), start, 1e-3 * min(width, 1.0), "elimination", ROUNDED_STEPS)
+        steps += rounded.iterations
+        if rounded.converged:
+            return BranchPoint(float(np.log(width)), rounded.unknowns, 0), steps
+    return None, steps
 
 
 def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:

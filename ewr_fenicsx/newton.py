@@ -10,7 +10,7 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     FINE_LEVELS,
@@ -24,6 +24,13 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
+from ewr_fenicsx.time_integration import integrate
+
+# Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
+TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
+TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
+TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
+GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
 def solve(
@@ -38,8 +45,9 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
-    from the default weights to those asked for; laws with rounded corners that are sharpened step by step; and both
-    through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds.
+    from the default weights to those asked for; from where a few periods of time stepping end; laws with rounded
+    corners that are sharpened along their branch; and these through more sets of harmonics, with the oscillating load
+    traced from a small share to the whole, past folds.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -61,8 +69,10 @@ def solve(
     balance, attempts, tried = None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
+        best = begin_at_full_stick(balance)
         for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
-            attempts.append(rung())
+            attempts.append(rung(best))
+            best = min(best, attempts[-1], key=lambda a: a.residual)
             tried.append(f"{name}: {attempts[-1].reason}")
             if attempts[-1].converged:
                 break
@@ -83,28 +93,86 @@ def solve(
     return solution
 
 
+Rung = Callable[[Attempt], Attempt]
+
+
 def list_rungs(
     problem: ContactProblem,
     balance: HarmonicBalance,
     start: PeriodicSolution | None,
     tolerance: float,
     linear_solver: LinearSolver,
-) -> Iterator[tuple[str, Callable[[], Attempt]]]:
-    """The ways to a solution, the cheapest first: name and what to call."""
+) -> Iterator[tuple[str, Rung]]:
+    """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
+
+    An attempt counts its own Newton steps only.
+    """
     if balance.linear:
-        yield "one linear solve", lambda: solve_linear(balance, tolerance)
+        yield "one linear solve", lambda _: solve_linear(balance, tolerance)
         return
     if start is not None:
-        yield "given start", lambda: go_on_from(start, balance, tolerance, linear_solver)
-    yield "growing harmonics", lambda: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
+        yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
+    yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
     if problem.rho_normal is not None or problem.rho_tangential is not None:
-        yield "from the default weights", lambda: leave_default_weights(problem, balance, tolerance, linear_solver)
-    stick = balance.pack(*balance.full_stick)
-    lost = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "", False)
+        yield "from the default weights", lambda _: leave_default_weights(problem, balance, tolerance, linear_solver)
+    yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
-        yield "rounded corners", lambda: sharpen_corners(balance, tolerance, lost)
+        yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     rungs = (sharpen_corners, trace_load)
-    yield "more sets of harmonics", lambda: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
+    yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
+
+
+def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
+    """The full-stick state as an attempt of no steps."""
+    unknowns = balance.pack(*balance.full_stick)
+    return Attempt(
+        unknowns, float(np.linalg.norm(balance.residual(unknowns))), 0, "nothing is closer than full stick", False
+    )
+
+
+def start_from_time_stepping(
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    best: Attempt,
+) -> Attempt:
+    """Newton from where some coarse periods of time stepping end, which find their way however hard the contact.
+
+    Both starts are worth trying: the forces themselves, and a step of the laws linearised at forces and motions.
+    """
+    if best.residual < GROSS:
+        return replace(best, iterations=0, reason="not needed: what was found is close")
+    try:
+        steady = integrate(
+            problem,
+            steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(balance.basis.orders)),
+            periods=TIME_PERIODS,
+            tolerance=TIME_TOLERANCE,
+            theta=TIME_DAMPING,
+            contact_tolerance=TIME_CONTACT,
+            sweeps=TIME_SWEEPS,
+            acceleration=True,
+        )
+    except (ModelError, ImportError) as refusal:
+        return replace(best, iterations=0, reason=str(refusal))
+    forces, motion = steady.contact_amplitudes
+    if not np.all(np.isfinite(forces)):
+        return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")
+    rigid = np.zeros(balance.rigid)
+    if balance.rigid:
+        unmoved = balance.compliance.motion(forces, rigid)[0].real
+        rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
+    starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
+    starts = sorted((u for u in starts if np.all(np.isfinite(u))), key=lambda u: np.linalg.norm(balance.residual(u)))
+    attempt, steps = best, 1
+    for unknowns in starts:
+        found = run_newton(balance, unknowns, tolerance, linear_solver)
+        steps += found.iterations
+        attempt = min(attempt, found, key=lambda a: a.residual)
+        if attempt.residual < GROSS:
+            break
+    return replace(attempt, iterations=steps)
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
@@ -131,7 +199,11 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    return walk_weights(balance, tolerance, usual.system, found)
+    guided = go_on_from(solution, balance, tolerance, linear_solver)
+    if guided.converged:
+        return replace(guided, iterations=found.iterations + guided.iterations)
+    walked = walk_weights(balance, tolerance, usual.system, found)
+    return replace(walked, iterations=walked.iterations + guided.iterations)
 
 
 def wrap(

@@ -18,6 +18,9 @@ LinearSolver = Literal["elimination", "dense"]
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 60  # -ewr_snes_max_it
 SMALLEST_DAMPING = 1e-6  # of a Newton step
+# Close to a solution, below this residual, it must fall below this share of itself over so many steps: runs that creep
+# from kink to kink there end at a corner without a solution. Far off, Newton may creep for long and still arrive.
+STALL_BELOW, STALL_STEPS, STALL_SHARE = 3e-3, 5, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +84,14 @@ def run_newton(
 _REASONS = {
     PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS: "residual below the tolerance",
     PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no decrease",
+    PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN: "the residual fell no further",
     PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: "too many Newton steps",
     PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "the Newton matrix is singular",
 }
 
 
 class _HalvedNewton:
-    """Newton's method with steps halved until the residual norm falls, as a SNES type.
+    """Newton's method with steps halved until the residual norm falls, given up where it stalls, as a SNES type.
 
     PETSc's own line searches fit a parabola through the residual, which has kinks, and take more steps. A SNES type
     chosen with ``-ewr_snes_type`` takes this one's place.
@@ -102,7 +106,9 @@ class _HalvedNewton:
         _, tolerance, _, limit = snes.getTolerances()
         snes.computeFunction(x, f)
         norm = f.norm()
+        norms = []
         for taken in range(limit + 1):
+            norms.append(norm)
             snes.setIterationNumber(taken)
             snes.setFunctionNorm(norm)
             snes.monitor(taken, norm)
@@ -110,6 +116,8 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.CONVERGED_FNORM_ABS)
             if taken == limit:
                 return snes.setConvergedReason(reason.DIVERGED_MAX_IT)
+            if norm < STALL_BELOW and taken >= STALL_STEPS and norm > STALL_SHARE * norms[-1 - STALL_STEPS]:
+                return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
             ksp.solve(f, step)

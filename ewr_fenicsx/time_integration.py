@@ -11,7 +11,6 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.newton import solve
 from ewr_fenicsx.periodicity import Anderson, Watch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -91,9 +90,20 @@ class SteadyState:
         Raises:
             ModelError: The model has no such output.
         """
-        steps, orders = self.scheme.steps, np.array(self.orders)
-        spectrum = np.fft.fft(self.last.positions[:-1] @ self._output_row(name)) / steps
-        return np.where(orders == 0, 1.0, 2.0) * spectrum[orders % steps]
+        return self._transform((self.last.positions[:-1] @ self._output_row(name))[:, None])[:, 0]
+
+    @property
+    def contact_amplitudes(self) -> tuple[ComplexArray, ComplexArray]:
+        """One-sided complex amplitudes of the contact rows' forces [N] and motions [m], ``(n_h, m)``, last period."""
+        force, motion = self.last.impulses / self.scheme.dt, self.last.positions[:-1] @ self.scheme.rows.T
+        late = 2 * np.pi * self.scheme.theta / self.scheme.steps  # an impulse belongs to the middle of its step
+        return self._transform(force) * np.exp(-1j * late * np.array(self.orders))[:, None], self._transform(motion)
+
+    def _transform(self, values: RealArray) -> ComplexArray:
+        """One-sided complex amplitudes ``(n_h, m)`` of values at the steps' starts ``(steps, m)``."""
+        orders = np.array(self.orders)
+        spectrum = np.fft.fft(values, axis=0) / self.scheme.steps
+        return np.where(orders == 0, 1.0, 2.0)[:, None] * spectrum[orders % self.scheme.steps]
 
     def output_history(self, name: str, samples: int | None = None) -> RealArray:
         """A named output over the last period, ``(samples,)``, at equal intervals from ``tau = 0``; None: one a step.
@@ -309,9 +319,9 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
 
 def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
     """The linear periodic solution in which no pair opens or slips."""
-    if problem.system.rows.shape[0] == 0:
-        return solve(problem)
-    forces, rigid = HarmonicBalance(problem.system).full_stick
+    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
+    if problem.system.rows.shape[0]:
+        forces, rigid = HarmonicBalance(problem.system).full_stick
     return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
 
 

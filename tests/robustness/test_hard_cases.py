@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import PeriodicSolution, solve
+from ewr_fenicsx import PeriodicSolution, newton, solve
 from ewr_fenicsx.balance import HarmonicBalance
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -103,6 +103,36 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
     usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
     assert np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid))) > 1e-6
     assert any(rung.startswith("from the default weights") for rung in solution.fallbacks)
+
+
+def test_time_stepping_finds_a_start_that_newton_does_not():
+    """A whole flank lifts off far below the resonance: full stick is no start, in no set of harmonics."""
+    case = hard_cases.Case("blade root", 0.3, ("reached", 1.0), 0.05, 5, 0.005, "half open", (1, 1))
+    solution = solve(hard_cases.pose_case(case))
+    assert [rung.split(":")[0] for rung in solution.fallbacks] == ["growing harmonics", "time stepping"]
+    assert solution.iterations <= 40
+
+
+def test_rounded_corners_are_begun_where_newton_stalled():
+    """One pair of seven grazes: Newton stalls close to the solution, at a corner, and gives up soon."""
+    case = hard_cases.Case("lap joint", 1 / 3, ("applied", 0.03), 1.0, 5, 1e-4, "random", (1, 1))
+    solution = solve(hard_cases.pose_case(case))
+    ways = dict(rung.split(": ", 1) for rung in solution.fallbacks)
+    assert ways["growing harmonics"] == "the residual fell no further"
+    assert ways["time stepping"] == "not needed: what was found is close"
+    assert ways["rounded corners"].endswith("residual below the tolerance")
+    assert solution.iterations <= 80
+
+
+def test_without_a_compiler_the_ladder_goes_on(monkeypatch):
+    def refuse(*_, **__):
+        raise ImportError("time integration needs numba")
+
+    monkeypatch.setattr(newton, "integrate", refuse)
+    case = hard_cases.Case("dovetail", 1 / 3, ("reached", 1.0), 0.2, 5, 0.02, "closed", (1, 1))
+    solution = solve(hard_cases.pose_case(case))
+    assert "time stepping: time integration needs numba" in solution.fallbacks
+    assert solution.converged and len(solution.fallbacks) > 2
 
 
 # Degenerate cases

@@ -17,15 +17,13 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # fmt: off
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
-    "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem",
-    "elimination", "balance", "indicators", "solution", "symmetry", "continuation", "snes", "ladder", "newton",
-    "estimates", "accuracy", "cost",
-    "time_stepping", "periodicity", "time_integration", "progress", "task_sharing", "solution_store", "following",
-    "frequency_sweep", "archard", "wear_store", "wear", "scene_errors", "scene_entries",
-    "scene_joint", "scene_sense", "scene",
-    "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain",
-    "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output",
-    "wear_fields", "study", "cost_report", "cli", "__main__",
+    "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem", "elimination",
+    "balance", "indicators", "solution", "time_stepping", "periodicity", "time_integration", "symmetry",
+    "continuation", "snes", "ladder", "newton", "estimates", "accuracy", "cost", "progress", "task_sharing",
+    "solution_store", "following", "frequency_sweep", "archard", "wear_store", "wear", "scene_errors",
+    "scene_entries", "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials",
+    "elasticity", "interface", "modes", "reduction", "chain", "contact_state", "gathering", "plots", "cost_plots",
+    "result_folder", "output", "wear_fields", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

@@ -6,7 +6,7 @@ import hypothesis
 import hypothesis.strategies as some
 import numpy as np
 import pytest
-from small_models import lift_off_oscillator
+from small_models import dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_stepping
 from ewr_fenicsx.errors import ModelError
@@ -238,6 +238,22 @@ def test_histories_and_outputs_are_consistent():
     amplitudes = [np.mean(body)] + [2 * np.mean(body * np.exp(-1j * h * tau)) for h in (1, 2, 3)]
     assert result.output("body") == pytest.approx(np.array(amplitudes), rel=1e-10)
     assert result.transient("body")[-257:-1] == pytest.approx(body, rel=1e-12)
+
+
+def test_contact_amplitudes_are_those_of_the_histories():
+    """Impulses belong to the middle of their step: their amplitudes have the phase of the force, as motions have."""
+    steady = integrate(ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5), steps=400, theta=0.6)
+    forces, motion = steady.contact_amplitudes
+    turns = np.exp(2j * np.pi * np.outer(np.arange(400) / 400, steady.orders))
+    index = steady.problem.system.index
+    for direction, force, moved in (("normal", "normal_force", "gap"), ("tangential", "friction_force", "slip")):
+        rows = index[direction]
+        for amplitudes, history in ((forces, steady.history(force)), (motion, steady.history(moved))):
+            found = (turns @ amplitudes[:, rows]).real
+            size = np.abs(history - history.mean()).max()
+            assert np.sqrt(np.mean((found - history) ** 2)) < 0.1 * size  # the harmonics above the fifth
+            late = np.sqrt(np.mean((found - np.roll(history, 5, axis=0)) ** 2))
+            assert np.sqrt(np.mean((found - history) ** 2)) < late
 
 
 def test_resampling_keeps_phase_and_wraps_round():
