@@ -144,8 +144,8 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
-        with name_place(scene, chain.interface):
-            report = survey_scene(chain, arguments.time_stepping, progress)
+    with name_place(scene, chain.interface):
+        report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
     if comm.rank == 0:
         files = report.write(folder)
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
-from ewr_fenicsx.chain import Chain, Progress, Stopwatch, pose_problem
+from ewr_fenicsx.chain import Chain, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors, match_mobility
 from ewr_fenicsx.newton import solve
+from ewr_fenicsx.progress import count_progress
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -42,32 +44,32 @@ class CostReport:
         return files
 
 
-def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: Progress | None = None) -> CostReport:
+def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bool = False) -> CostReport:
     """Turns the knobs of a scene's contact solve, one at a time, at its first frequency.
 
     Args:
         chain: The scene's chain.
         against_time_stepping: Whether the reference is time stepping, which takes longer but shares no code with what
             it judges; else a harmonic solve with many harmonics.
-        progress: As in ``build_chain``.
+        progress: Whether to show on standard error what is done and how long the rest will take.
 
     Raises:
         SceneError: Nothing oscillates, so that there is nothing to choose.
     """
-    watch = Stopwatch(progress)
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
     loaded = [h for h, f in problem.loads.items() if h and f.any()]
     if not loaded or not problem.frequency:
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
     problem = replace(problem, rho_normal=None, rho_tangential=None, samples=None)
-    with watch.stage("reference"):
+    with count_progress("reference", 1, progress) as tell:
         find = step_reference if against_time_stepping else solve_reference
         reference, own, name, highest = find(problem, max(loaded))
-    with watch.stage("survey"):
-        orders = [n for n in ORDERS if n < 0.7 * highest]
-        rows = survey(
-            list_settings(problem, orders, fixed=max(min(9, highest // 3), max(loaded))), reference, repeats=1
-        )
+        tell(1)
+    orders = [n for n in ORDERS if n < 0.7 * highest]
+    settings = list_settings(problem, orders, fixed=max(min(9, highest // 3), max(loaded)))
+    with count_progress("settings", len(settings), progress) as tell:
+        done = count(1)
+        rows = survey(settings, reference, repeats=1, report=lambda _: tell(next(done)))
     told = [f"reference: {name}; its own error is thought to be {own:.1g}"]
     for level in LEVELS:
         if level < own:

@@ -34,12 +34,18 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "NOT as accurate" not in told
 
 
-def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("option", "name"), [((), "harmonic balance, N = 15"), (("--time-stepping",), "time stepping, 200 steps a period")]
+)
+def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name):
     monkeypatch.setattr(cost_report, "ORDERS", (1, 3, 5))
     monkeypatch.setattr(cost_report, "HIGHEST", 15)
+    monkeypatch.setattr(cost_report, "STEPS", (100, 200))
     folder = tmp_path / "costs"
-    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder)]) == 0
-    assert "reference: harmonic balance, N = 15" in capsys.readouterr().out
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder), *option]) == 0
+    printed = capsys.readouterr()
+    assert f"reference: {name}" in printed.out
+    assert "settings" in printed.err and "left" in printed.err
     found = json.loads((folder / "cost.json").read_text(encoding="utf-8"))
     errors = {r["value"]: r["errors"]["output"] for r in found["rows"] if r["knob"] == "N"}
     assert set(errors) == {1, 3, 5}
