@@ -16,9 +16,15 @@ THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 def describe_machine() -> dict[str, object]:
-    """Cores, BLAS threads, load average and versions: printed first, so that a disturbed run shows."""
+    """Cores, BLAS threads, load average and versions: printed first, so that a disturbed run shows.
+
+    Raises:
+        SystemExit: The number of BLAS threads is left to the machine, and would be part of every figure.
+    """
     cores = len(os.sched_getaffinity(0))
-    threads = next((int(os.environ[name]) for name in THREAD_VARIABLES if os.environ.get(name, "").isdigit()), cores)
+    threads = next((int(os.environ[name]) for name in THREAD_VARIABLES if os.environ.get(name, "").isdigit()), None)
+    if threads is None:
+        raise SystemExit("set the number of threads: OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/...")
     machine = {
         "cores": cores,
         "blas_threads": threads,
