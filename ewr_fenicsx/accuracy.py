@@ -29,6 +29,7 @@ RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
+TRUST = 5.0  # factor within which the estimate of a first solve is trusted; a second one confirms what is closer
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
 
 
@@ -94,7 +95,9 @@ def solve_to_accuracy(
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
     Starts with few harmonics and samples, estimates the error of each knob and raises the one that dominates, each
-    solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
+    solve started at the one before. A first solve by itself is believed only where its estimate is far below what is
+    asked; else a second one, with more harmonics, must confirm it. Harmonics whose contact forces do not matter are
+    left out on the way.
 
     Args:
         problem: The problem; its own harmonics and samples are not looked at, weights that it gives are kept.
@@ -134,20 +137,23 @@ def solve_to_accuracy(
         levels.append(
             Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
         )
-        if estimate.total <= accuracy:
+        kept = estimate.total <= accuracy
+        if kept and (len(levels) > 1 or TRUST * estimate.total <= accuracy):
             break
-        if estimate.dominating == "modes":
+        if estimate.dominating == "modes" and not kept:
             limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
-        elif estimate.dominating == "samples":
+        elif estimate.dominating == "samples" and not kept:
             density *= 2
             if density > MOST_SAMPLES:
                 limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
         else:
-            raised = next_order(levels, accuracy)
+            raised = max(next_order(levels, accuracy), top + 2)  # symmetry may make the next one zero
             needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
             dropped |= set(posed.basis.orders) - needed
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
             raised = min(raised, highest, top + room)
+            if raised <= top and kept:
+                break
             if raised <= top:
                 limit = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
                 limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit

@@ -24,7 +24,6 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
-from ewr_fenicsx.time_integration import integrate
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -143,6 +142,8 @@ def start_from_time_stepping(
     """
     if best.residual < GROSS:
         return replace(best, iterations=0, reason="not needed: what was found is close")
+    from ewr_fenicsx.time_integration import integrate  # only for those whom Newton fails
+
     try:
         steady = integrate(
             problem,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import PeriodicSolution, newton, solve
+from ewr_fenicsx import PeriodicSolution, solve, time_integration
 from ewr_fenicsx.balance import HarmonicBalance
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -128,7 +128,7 @@ def test_without_a_compiler_the_ladder_goes_on(monkeypatch):
     def refuse(*_, **__):
         raise ImportError("time integration needs numba")
 
-    monkeypatch.setattr(newton, "integrate", refuse)
+    monkeypatch.setattr(time_integration, "integrate", refuse)
     case = hard_cases.Case("dovetail", 1 / 3, ("reached", 1.0), 0.2, 5, 0.02, "closed", (1, 1))
     solution = solve(hard_cases.pose_case(case))
     assert "time stepping: time integration needs numba" in solution.fallbacks
