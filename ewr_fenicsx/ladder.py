@@ -35,6 +35,7 @@ MOST_STEPS = 500  # Newton steps after which no further path is begun
 SHARP, BLUNT = 1e-7, 1e4  # widths of rounded corners, over the mean contact force, that count as sharp and as hopeless
 NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a failed attempt, over its residual
 LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
+BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
@@ -110,7 +111,8 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
         for point in islice(branch, BRANCH_POINTS):
             steps += point.steps
             here = point
-            if here.parameter < np.log(SHARP) or np.linalg.norm(here.unknowns) > LOST:
+            runs_away = here.parameter > begun.parameter + BACK or np.linalg.norm(here.unknowns) > LOST
+            if here.parameter < np.log(SHARP) or runs_away:
                 break
         attempt, width = run_newton(balance, here.unknowns, tolerance, "elimination"), np.exp(here.parameter)
         steps += attempt.iterations

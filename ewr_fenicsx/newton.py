@@ -45,8 +45,8 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
     from the default weights to those asked for; from where a few periods of time stepping end; laws with rounded
-    corners that are sharpened along their branch; and these through more sets of harmonics, with the oscillating load
-    traced from a small share to the whole, past folds.
+    corners that are sharpened along their branch; these through more sets of harmonics, with the oscillating load traced
+    from a small share to the whole, past folds; and that tracing by itself.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -119,6 +119,8 @@ def list_rungs(
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     rungs = (sharpen_corners, trace_load)
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
+    if balance.size <= LARGEST_TRACED:
+        yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 
 
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
