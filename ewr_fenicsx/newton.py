@@ -45,8 +45,8 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
     from the default weights to those asked for; from where a few periods of time stepping end; laws with rounded
-    corners that are sharpened along their branch; these through more sets of harmonics, with the oscillating load traced
-    from a small share to the whole, past folds; and that tracing by itself.
+    corners that are sharpened along their branch; these through more sets of harmonics, with the oscillating load
+    traced from a small share to the whole, past folds; and that tracing by itself.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
