@@ -7,9 +7,9 @@
 At 1000 Hz, near the resonance of the slipping joint, where all flanks slip and half of the pairs lift off for a while.
 The reference is `integrate`, steps halved until the response moves by less than can be seen, the outputs extrapolated;
 its own error is the change with the last halving, and the distance to a harmonic solve of high order is shown beside
-it. Knobs of the structure (modes, mesh, pairs) are
-turned at N = 5, with the finest of their row as reference, the finest mesh of degree 2 for both degrees. Times are the
-process's own (CPU), medians of three from cold; compilation and what is computed once a model are not timed.
+it. Knobs of the structure (modes, mesh, pairs) are turned at N = 5, with the finest of their row as reference, the
+finest mesh of degree 2 for both degrees. Times are the process's own (CPU), medians of three from cold; compilation and
+what is computed once a model are not timed.
 """
 
 from __future__ import annotations

@@ -10,13 +10,14 @@ the dense solve has only the rows that change status.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, cached_property, partial
 
 import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.contact_problem import ContactSystem
-from ewr_fenicsx.elimination import REDUNDANCY, Derivative, Elimination, apply_harmonics
+from ewr_fenicsx.elimination import BATCH, REDUNDANCY, Derivative, Elimination, apply_harmonics
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_kinds import Motion, Signal, Variable
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -207,11 +208,19 @@ class NewtonStep:
                 np.maximum.at(answer, d.rows, rate * np.abs(d.values).max(axis=0) * system.flexibility[d.columns])
         return np.where(answer > 0, np.minimum(1.0, answer), 1.0)
 
-    def multiply(self, direction: RealArray) -> RealArray:
-        """``J v`` without forming J, ``(size,)``."""
-        forces, rigid = self.balance.unpack(direction)
-        compliance = self.balance.compliance
-        return self.change(forces, compliance.motion(forces, rigid) - compliance.free_motion, rigid)
+    def multiply(self, direction: RealArray, shift: float = 0.0) -> RealArray:
+        """``(J + shift) v`` without forming J, ``(size,)``."""
+        balance = self.balance
+        forces, rigid = balance.unpack(direction)
+        motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
+        product = self.change(forces, motion, rigid)
+        if shift:
+            weight = np.tile(shift * self.shift_weight, (balance.basis.coefficients, 1))
+            if balance.basis.has_mean:
+                weight[0] *= balance.static_force_row == 0  # small: a shift would swamp it
+            moved = balance.size - balance.rigid
+            product[:moved] += weight[balance.unknown] * direction[:moved]
+        return product
 
     def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
         """Change of the residual with force and motion amplitudes ``(n_h, m)`` and rigid coordinates ``(r,)``."""
@@ -246,26 +255,7 @@ class NewtonStep:
         Raises:
             LinAlgError: The Jacobian is singular.
         """
-        balance = self.balance
-        load = np.zeros(balance.unknown.shape)
-        load[balance.unknown] = right_side[: balance.size - balance.rigid]
-        elimination = Elimination.of(balance, self.derivatives, self.steady, load, shift * self.shift_weight)
-        matrix, b = self._assemble(elimination, load, shift)
-        b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
-        unknown = balance.unknown[:, elimination.mixed]
-        rigid = np.ones(balance.rigid, dtype=bool)
-        columns = np.concatenate([unknown.ravel(), rigid])
-        if not columns.all():  # mean friction that the law sets to zero
-            rows = np.concatenate([unknown.T.ravel(), rigid])
-            matrix, b = matrix[np.ix_(rows, columns)], b[rows]
-        x = np.zeros(columns.size)
-        if b.size:
-            # LAPACK reads the row-major matrix as its transpose: factor that in place, solve with it transposed back
-            lu, pivots, failed = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
-            if failed:
-                raise np.linalg.LinAlgError("the Newton matrix is singular")
-            x[columns] = scipy.linalg.lu_solve((lu, pivots), b, trans=1, check_finite=False)
-        return elimination.expand(x)
+        return Factorisation(self, right_side, shift).solution
 
     def _assemble(self, elimination: Elimination, load: RealArray, shift: float) -> tuple[RealArray, RealArray]:
         """Matrix and right side of the mixed rows and the rigid balance.
@@ -279,7 +269,7 @@ class NewtonStep:
         size = mixed.size * n_c
         matrix = np.zeros((size + balance.rigid, size + balance.rigid))
         b = np.zeros(size + balance.rigid)
-        block = np.zeros((mixed.size, n_c, n_c, mixed.size))
+        block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
         weighted = shift * self.shift_weight[mixed]
         block[pair, order, order, pair] = weighted[:, None]
@@ -307,11 +297,13 @@ class NewtonStep:
             elif d.by_rate and basis.has_mean:
                 T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]]
             V, v, g = elimination.follow(d.by_force, columns)
-            block[at] += apply_harmonics(basis, T, V)
+            rows = max(1, BATCH // (n_c * n_c * mixed.size))
+            for first in range(0, at.size, rows):
+                part = slice(first, first + rows)
+                block[at[part]] += apply_harmonics(basis, T[part], V[:, part])
             known[at] -= np.einsum("kij,jk->ki", T, basis.to_coefficients(v))
             if balance.rigid:
                 toward_rigid[at] += T[:, :, :1] * g[:, None, :]
-        matrix[:size, :size] = block.reshape(size, size)
         b[:size] = known.reshape(size)
         if balance.rigid:
             matrix[:size, size:] = toward_rigid.reshape(size, balance.rigid)
@@ -320,3 +312,55 @@ class NewtonStep:
             matrix[size:, size:] = corner
             b[size:] = -offset
         return matrix, b
+
+
+class Factorisation:
+    """``J + shift`` factored, the steady rows eliminated: for one right side at once, for more of them later.
+
+    Args:
+        step: The linearised balance.
+        right_side: ``(size,)``, of which ``solution`` is the solution.
+        shift: On the diagonal, but for mean friction.
+
+    Raises:
+        LinAlgError: The Jacobian is singular.
+    """
+
+    def __init__(self, step: NewtonStep, right_side: RealArray, shift: float = 0.0):
+        balance = step.balance
+        self.step = step
+        load = np.zeros(balance.unknown.shape)
+        load[balance.unknown] = right_side[: balance.size - balance.rigid]
+        self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, shift * step.shift_weight)
+        matrix, b = step._assemble(self.elimination, load, shift)
+        b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
+        unknown = balance.unknown[:, self.elimination.mixed]
+        rigid = np.ones(balance.rigid, dtype=bool)
+        self.rows, self.columns = (np.concatenate([u.ravel(), rigid]) for u in (unknown.T, unknown))
+        if not self.columns.all():  # mean friction that the law sets to zero
+            matrix = matrix[np.ix_(self.rows, self.columns)]
+        # LAPACK reads the row-major matrix as its transpose: factor that in place, solve with it transposed back
+        self.lu, self.pivots, failed = (
+            scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True) if b.size else (None, None, 0)
+        )
+        if failed:
+            raise np.linalg.LinAlgError("the Newton matrix is singular")
+        self.solution = self.elimination.expand(self._solve_mixed(b))
+
+    def solve(self, right_side: RealArray) -> RealArray:
+        """The solution for another right side, ``(size,)``."""
+        step, balance = self.step, self.step.balance
+        load = np.zeros(balance.unknown.shape)
+        load[balance.unknown] = right_side[: balance.size - balance.rigid]
+        elimination = replace(self.elimination, offset=self.elimination.find_offset(load))
+        left = right_side - step.multiply(elimination.expand(np.zeros(self.columns.size)))
+        load[balance.unknown] = left[: balance.size - balance.rigid]
+        b = np.concatenate([load[:, elimination.mixed].T.ravel(), left[balance.size - balance.rigid :]])
+        return elimination.expand(self._solve_mixed(b))
+
+    def _solve_mixed(self, b: RealArray) -> RealArray:
+        """Mixed coefficients and rigid coordinates, zeros among them, from a right side by pair and coefficient."""
+        x = np.zeros(self.columns.size)
+        if b.size:
+            x[self.columns] = scipy.linalg.lu_solve((self.lu, self.pivots), b[self.rows], trans=1, check_finite=False)
+        return x

@@ -6,8 +6,9 @@ complex system. What is left is real and dense: the rows that do change, and the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -47,7 +48,7 @@ class Equations(Protocol):
 
 # Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
 REDUNDANCY = 1e-13
-BATCH = 1 << 20  # matrix entries of harmonics that are eliminated at a time: few calls on small joints, little memory
+BATCH = 1 << 18  # matrix entries made at a time: few calls on small joints, temporaries that fit the cache on large ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +107,8 @@ class Elimination:
     """
 
     balance: Equations
+    derivatives: Sequence[Derivative]
+    shift: RealArray | None  # (m,)
     steady: np.ndarray  # (c,)
     mixed: np.ndarray  # (M,)
     reaction: ComplexArray  # (n_h, c, M)
@@ -128,18 +131,38 @@ class Elimination:
         reaction = np.zeros((n_h, c.size, mixed.size), dtype=complex)
         offset, rigid = np.zeros((n_h, c.size), dtype=complex), np.zeros((c.size, balance.rigid))
         if c.size == 0:
-            return cls(balance, c, mixed, reaction, offset, rigid)
+            return cls(balance, derivatives, shift, c, mixed, reaction, offset, rigid)
         right = basis.to_amplitudes(load)[:, c]
-        step = max(1, BATCH // (c.size * balance.rows))
-        for first in range(0, n_h, step):
-            batch = slice(first, first + step)
+        for batch in cls._batches(balance, c):
             A, toward_rigid = cls._gather(balance, derivatives, c, shift, batch)
             known = np.concatenate([A[:, :, mixed], right[batch, :, None], toward_rigid], axis=2)
             solved = np.linalg.solve(A[:, :, c], known)
             reaction[batch], offset[batch] = solved[:, :, : mixed.size], solved[:, :, mixed.size]
-            if first == 0:
+            if batch.start == 0:
                 rigid[:] = solved[0, :, mixed.size + 1 :].real
-        return cls(balance, c, mixed, reaction, offset, rigid)
+        return cls(balance, derivatives, shift, c, mixed, reaction, offset, rigid)
+
+    @cached_property
+    def inverse(self) -> ComplexArray:
+        """``(n_h, c, c)`` of the steady block at each harmonic; only computed for a second right side."""
+        parts = (
+            np.linalg.inv(
+                self._gather(self.balance, self.derivatives, self.steady, self.shift, batch)[0][:, :, self.steady]
+            )
+            for batch in self._batches(self.balance, self.steady)
+        )
+        return np.concatenate(list(parts))
+
+    def find_offset(self, load: RealArray) -> ComplexArray:
+        """Steady forces ``(n_h, c)`` by another right side ``(n_c, m)`` where the other unknowns are zero."""
+        right = self.balance.basis.to_amplitudes(load)[:, self.steady]
+        return np.matmul(self.inverse, right[:, :, None])[:, :, 0] if self.steady.size else right
+
+    @staticmethod
+    def _batches(balance: Equations, c: np.ndarray) -> Iterator[slice]:
+        """Harmonics that are eliminated at a time."""
+        step, n_h = max(1, BATCH // max(1, c.size * balance.rows)), len(balance.basis.orders)
+        return (slice(first, first + step) for first in range(0, n_h, step))
 
     @staticmethod
     def _gather(

@@ -6,8 +6,9 @@ are all the Newton steps that the way took:
 1. ``climb``: growing sets of harmonics, each started at the one before.
 2. ``walk_weights``: weights of the laws far from the defaults are approached from there.
 3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-4. ``climb`` through more sets, and on one where Newton stalls 3., then ``trace_load``: the oscillating load from a
-   small share to the whole, past folds.
+4. ``trace_load``: the oscillating load from a small share to the whole, past folds.
+
+``climb`` takes 3. and 4. along: through more sets of harmonics, with both on any set where Newton stalls.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
 MOST_STEPS = 500  # Newton steps after which no further path is begun
-SHARP, BLUNT = 1e-7, 1e4  # widths of rounded corners, over the mean contact force, that count as sharp and as hopeless
+SHARP = 1e-7  # width of rounded corners, over the mean contact force, that counts as sharp
+BLUNT = 8.0 ** np.arange(5)  # widths in turn, where the rounded branch begins at full stick
 NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a failed attempt, over its residual
 LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
@@ -95,13 +97,12 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
     unit = balance.force_unit / np.sqrt(balance.rows)
 
     def at(logarithm: float) -> HarmonicBalance:
-        width = np.exp(np.clip(logarithm, *np.log((1e-3 * SHARP, 1e3 * BLUNT)))) * unit
+        width = np.exp(np.clip(logarithm, *np.log((1e-3 * SHARP, 1e3 * BLUNT[-1])))) * unit
         return HarmonicBalance(round_corners(balance.system, width), balance.force_unit)
 
     near = [w for w in failed.residual * NEAR_WIDTHS if w < 1.0]
-    blunt = [w for w in 8.0 ** np.arange(6) if w <= BLUNT]
     attempt, steps, width = failed, failed.iterations, np.inf
-    for start, widths in ((failed.unknowns, near), (balance.pack(*balance.full_stick), blunt)):
+    for start, widths in ((failed.unknowns, near), (balance.pack(*balance.full_stick), BLUNT)):
         begun, taken = _round_until_solved(at, start, widths)
         steps += taken
         if begun is None:

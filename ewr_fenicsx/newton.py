@@ -65,16 +65,15 @@ def solve(
     asked, problem = problem, leave_out_idle(problem, start)
     system = problem.system
     composed = time.perf_counter()
-    balance, attempts, tried = None, [], []
+    balance, best, attempts, tried = None, None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
-        best = begin_at_full_stick(balance)
         for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
             attempts.append(rung(best))
-            best = min(best, attempts[-1], key=lambda a: a.residual)
             tried.append(f"{name}: {attempts[-1].reason}")
             if attempts[-1].converged:
                 break
+            best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
     fallbacks = tuple(tried) if len(tried) > 1 else ()
     end = time.perf_counter()
     solution = include_idle(wrap(problem, balance, attempts, fallbacks, end - begin), asked)
@@ -92,19 +91,16 @@ def solve(
     return solution
 
 
-Rung = Callable[[Attempt], Attempt]
-
-
 def list_rungs(
     problem: ContactProblem,
     balance: HarmonicBalance,
     start: PeriodicSolution | None,
     tolerance: float,
     linear_solver: LinearSolver,
-) -> Iterator[tuple[str, Rung]]:
+) -> Iterator[tuple[str, Callable[[Attempt | None], Attempt]]]:
     """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
 
-    An attempt counts its own Newton steps only.
+    The first way has no attempt before it. An attempt counts its own Newton steps only.
     """
     if balance.linear:
         yield "one linear solve", lambda _: solve_linear(balance, tolerance)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from petsc4py import PETSc
 
-from ewr_fenicsx.balance import HarmonicBalance, NewtonStep
+from ewr_fenicsx.balance import Factorisation, HarmonicBalance, NewtonStep
 from ewr_fenicsx.reduced_model import RealArray
 
 LinearSolver = Literal["elimination", "dense"]
@@ -21,6 +21,10 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 # Close to a solution, below this residual, it must fall below this share of itself over so many steps: runs that creep
 # from kink to kink there end at a corner without a solution. Far off, Newton may creep for long and still arrive.
 STALL_BELOW, STALL_STEPS, STALL_SHARE = 3e-3, 5, 0.8
+# Dense factors of so many unknowns precondition GMRES at later steps, for few samples change status in between: how
+# exact a step must be far from the solution and close to it, and in how many iterations, else there are new factors.
+REUSE_FROM, REUSE_ITERATIONS = 500, 10
+FAR_TOLERANCE, CLOSE_TOLERANCE = 0.25, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ def run_newton(
     snes.setFunction(equations.evaluate, r)
     snes.setJacobian(equations.linearise, matrix)
     snes.setType(PETSc.SNES.Type.PYTHON)
-    snes.setPythonContext(_HalvedNewton())
+    snes.setPythonContext(_HalvedNewton(equations))
     snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
     snes.setFromOptions()
     if limit is not None:
@@ -97,16 +101,20 @@ class _HalvedNewton:
     chosen with ``-ewr_snes_type`` takes this one's place.
     """
 
+    def __init__(self, equations: _Equations):
+        self.equations = equations
+
     def solve(self, snes: PETSc.SNES, _: PETSc.Vec, x: PETSc.Vec) -> None:
         reason = PETSc.SNES.ConvergedReason
         f = snes.getFunction()[0]
         J, P = snes.getJacobian()[:2]
         ksp = snes.getKSP()
+        direct = ksp.getType() == PETSc.KSP.Type.PREONLY
         step, trial, residual = x.duplicate(), x.duplicate(), f.duplicate()
         _, tolerance, _, limit = snes.getTolerances()
         snes.computeFunction(x, f)
         norm = f.norm()
-        norms = []
+        norms, factored = [], 0
         for taken in range(limit + 1):
             norms.append(norm)
             snes.setIterationNumber(taken)
@@ -120,7 +128,10 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
-            ksp.solve(f, step)
+            exact = FAR_TOLERANCE if self.equations.shift else CLOSE_TOLERANCE
+            if not (direct and factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
+                ksp.solve(f, step)
+                factored = self.equations.mixed
             if not np.isfinite(step.norm()):
                 return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
             damping = 1.0
@@ -138,12 +149,31 @@ class _HalvedNewton:
             norm = found
 
 
+def solve_with_old_factors(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, tolerance: float) -> bool:
+    """Whether GMRES with the factors of an earlier step solves the system in few iterations."""
+    ksp.setTolerances(rtol=tolerance, max_it=REUSE_ITERATIONS)
+    ksp.setType(PETSc.KSP.Type.GMRES)
+    ksp.setPCSide(PETSc.PC.Side.RIGHT)
+    ksp.getPC().setReusePreconditioner(True)
+    ksp.solve(right_side, x)
+    solved = ksp.getConvergedReason() > 0
+    ksp.setType(PETSc.KSP.Type.PREONLY)
+    ksp.getPC().setReusePreconditioner(False)
+    return solved
+
+
 class _Equations:
     """The balance as PETSc sees it: residual, Jacobian as a matrix or as an operator, and that one's exact inverse."""
 
     def __init__(self, balance: HarmonicBalance, first: float):
         self.balance, self.first = balance, first
         self.step, self.shift = None, 0.0
+        self.factors: Factorisation | None = None
+
+    @property
+    def mixed(self) -> int:
+        """Unknowns that no elimination takes out of the present step."""
+        return int(self.balance.unknown[:, ~self.step.steady].sum()) + self.balance.rigid
 
     def evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         r.array[:] = self.balance.residual(x.array_r)
@@ -153,13 +183,20 @@ class _Equations:
         self.shift = choose_shift(self.step, self.first)
         if P.getType() != PETSc.Mat.Type.PYTHON:
             P.getDenseArray()[:] = self.step.matrix(self.shift)
-            P.assemble()
+        P.assemble()  # says that it has changed
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        y.array[:] = self.step.multiply(x.array_r)
+        y.array[:] = self.step.multiply(x.array_r, self.shift)
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        self.factors = None  # of an earlier step, and not to be kept
 
     def apply(self, pc: PETSc.PC, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        if self.factors is not None:
+            x.array[:] = self.factors.solve(b.array_r)
+            return
         try:
-            x.array[:] = self.step.solve(b.array_r, self.shift)
+            self.factors = Factorisation(self.step, b.array_r, self.shift)
+            x.array[:] = self.factors.solution
         except np.linalg.LinAlgError:
             x.set(np.nan)  # the step then ends the iteration

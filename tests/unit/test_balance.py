@@ -10,7 +10,7 @@ import pytest
 from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
 
 FREQUENCY = 0.21
@@ -339,6 +339,19 @@ def check_against_dense(step, balance: HarmonicBalance) -> None:
         assert np.linalg.norm(matrix @ step.solve(vector) - vector) < 1e-10 * np.linalg.norm(vector) * max(
             1.0, np.abs(matrix).max() * np.abs(dense).max() / np.abs(vector).max() * 1e-3
         )
+    check_second_right_side(step, rng.normal(size=balance.size), vector)
+
+
+def check_second_right_side(step, first, second) -> None:
+    """Factors made for one right side solve for another, and products know of the shift."""
+    shifted = step.matrix(0.05)
+    product = step.multiply(second, 0.05)
+    np.testing.assert_allclose(product, shifted @ second, atol=1e-11 * np.abs(shifted).max() * np.abs(second).max())
+    expected = step.solve(second, 0.05)
+    tolerance = max(1e-10, 1e-16 * np.linalg.cond(shifted))
+    np.testing.assert_allclose(
+        Factorisation(step, first, 0.05).solve(second), expected, atol=tolerance * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize(

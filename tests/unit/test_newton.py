@@ -9,7 +9,7 @@ import pytest
 from petsc4py import PETSc
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.newton import carry_over, run_newton
@@ -61,8 +61,11 @@ def record_steps(problem: ContactProblem, **arguments) -> tuple:
         HarmonicBalance.linearise = original
 
 
+@pytest.mark.parametrize("reuse_from", [1, 500])
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_both_linear_solvers_take_the_same_steps(name):
+def test_both_linear_solvers_take_the_same_steps(name, reuse_from, monkeypatch):
+    """With factors of earlier steps in GMRES or without."""
+    monkeypatch.setattr(snes, "REUSE_FROM", reuse_from)
     first, eliminated = record_steps(PROBLEMS[name], linear_solver="elimination")
     second, dense = record_steps(PROBLEMS[name], linear_solver="dense")
     assert first.iterations == second.iterations
@@ -70,6 +73,28 @@ def test_both_linear_solvers_take_the_same_steps(name):
     for a, b in zip(eliminated, dense, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-8 * np.abs(b).max())
     np.testing.assert_allclose(first.forces, second.forces, atol=1e-9 * np.abs(second.forces).max())
+
+
+@pytest.mark.parametrize("frequency", [450.0, 481.0, 520.0])
+def test_factors_of_earlier_steps_serve_later_ones(frequency, monkeypatch):
+    """The same solution to the tolerance, with fewer factorisations than steps."""
+    made = []
+    original = snes.Factorisation
+
+    def count(*arguments):
+        made.append(arguments)
+        return original(*arguments)
+
+    problem = replace(PROBLEMS["floating, slip"], frequency=frequency, harmonics=15)
+    monkeypatch.setattr(snes, "Factorisation", count)
+    monkeypatch.setattr(snes, "REUSE_FROM", 10**9)
+    anew = solve(problem, tolerance=1e-11)
+    assert len(made) == anew.iterations > 3
+    made.clear()
+    monkeypatch.setattr(snes, "REUSE_FROM", 1)
+    again = solve(problem, tolerance=1e-11)
+    assert len(made) < again.iterations <= anew.iterations + 5
+    np.testing.assert_allclose(again.forces, anew.forces, atol=1e-9 * np.abs(anew.forces).max())
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
