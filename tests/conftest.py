@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,8 +39,10 @@ def mpirun(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
     Returns:
         ``mpirun(ranks, *argv, timeout=300.0, cwd=tmp_path) -> CompletedProcess`` with text output; the exit code is for
-        the test to check. ``python`` and ``ewr`` in ``argv`` are those of this environment. The cores are divided among
-        the ranks. Start bare scripts as ``"python", "-m", "mpi4py", script``: an exception on one rank then stops all.
+        the test to check. ``stderr`` has mpirun's own and then each rank's in turn, which went to files: of a rank that
+        aborts, mpirun may lose the last words. ``python`` and ``ewr`` in ``argv`` are those of this environment. The
+        cores are divided among the ranks. Start bare scripts as ``"python", "-m", "mpi4py", script``: an exception on
+        one rank then stops all.
     """
 
     def run(
@@ -56,11 +60,14 @@ def mpirun(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             # One machine: shared memory alone. TCP and kernel-assisted copies only complain in a bare container.
             "OMPI_MCA_btl": "^tcp",
             "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
+            "PYTHONFAULTHANDLER": "1",
         }
         # mpirun's own timeout ends the ranks too; ours is for an mpirun that hangs itself.
         launch = ["mpirun", "-n", str(ranks), "--bind-to", "none", "--map-by", ":OVERSUBSCRIBE"]
         launch += ["--timeout", str(int(timeout))]
-        return subprocess.run(
+        said = Path(tempfile.mkdtemp(prefix="stderr_of_ranks_", dir=tmp_path))
+        launch += ["sh", "-c", f'exec "$@" 2> {shlex.quote(str(said))}/$OMPI_COMM_WORLD_RANK', "rank"]
+        finished = subprocess.run(
             [*launch, *map(os.fspath, argv)],
             cwd=cwd,
             env=environment,
@@ -70,5 +77,9 @@ def mpirun(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
             timeout=timeout + 30,
             check=False,
         )
+        finished.stderr += "".join(
+            (said / str(rank)).read_text() for rank in range(ranks) if (said / str(rank)).exists()
+        )
+        return finished
 
     return run
