@@ -29,6 +29,7 @@ from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
 TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
 TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
+APERIODIC = 0.1  # change from period to period that casts doubt on there being a periodic motion
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -85,7 +86,8 @@ def solve(
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
             f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}. "
-            "Try fewer harmonics, a neighbouring solution as start=, or more damping",
+            "Try fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) shows whether "
+            "the motion becomes periodic at all",
             best=solution,
         )
     return solution
@@ -171,7 +173,9 @@ def start_from_time_stepping(
         attempt = min(attempt, found, key=lambda a: a.residual)
         if attempt.residual < GROSS:
             break
-    return replace(attempt, iterations=steps)
+    told = f"from period to period its motion still changes by {steady.changes[-1]:.0%} after {steady.periods}"
+    reason = attempt.reason if steady.changes[-1] < APERIODIC else f"{attempt.reason} ({told})"
+    return replace(attempt, iterations=steps, reason=reason)
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import PeriodicSolution, solve, time_integration
+from ewr_fenicsx import PeriodicSolution, newton, solve, time_integration
 from ewr_fenicsx.balance import HarmonicBalance
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -111,6 +111,18 @@ def test_time_stepping_finds_a_start_that_newton_does_not():
     solution = solve(hard_cases.pose_case(case))
     assert [rung.split(":")[0] for rung in solution.fallbacks] == ["growing harmonics", "time stepping"]
     assert solution.iterations <= 40
+
+
+def test_a_motion_that_does_not_become_periodic_is_said_to_be_so():
+    """Hundreds of periods in fine steps go on changing; no start from there leads to a solution."""
+    case = hard_cases.Case("dovetail", 1 / 3, ("reached", 3.0), 1.0, 9, 1e-3, "closed", (1, 1))
+    problem = hard_cases.pose_case(case)
+    fine = time_integration.integrate(problem, steps=1600, periods=200, tolerance=1e-3)
+    assert not fine.converged and np.median(fine.changes[-50:]) > newton.APERIODIC
+    balance = HarmonicBalance(problem.system)
+    start = newton.begin_at_full_stick(balance)
+    attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
+    assert not attempt.converged and "from period to period its motion still changes by" in attempt.reason
 
 
 def test_rounded_corners_are_begun_where_newton_stalled():
