@@ -61,7 +61,7 @@ class HarmonicBalance:
             own[rows] += law.stick_flexibility
         shift = np.diag(own)
         for j, h in enumerate(self.basis.orders):
-            if h:
+            if h and np.any(compliance.free_motion[j]):
                 forces[j] = np.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
         if self.basis.has_mean:
             target = np.full(self.rows, np.nan)

@@ -92,15 +92,20 @@ def condense(
     readers = np.vstack([rows, *(model.outputs[name] for name in names)])
     modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
-    uncoupled = find_normal_modes(model) is not None
+    superposed = find_normal_modes(model)
+    if superposed is not None:
+        seen = readers @ superposed.shapes  # once for all harmonics
     for j, h in enumerate(orders):
-        groups = [(0, rows.T)] + ([(m, load[h][:, None])] if h in load else [])
-        if not uncoupled:
-            groups = [(0, np.hstack([forces for _, forces in groups]))]  # one factorisation
-        for first, forces in groups:
-            if np.any(forces):
-                found = receptance(model, h * omega, readers, forces, generalised_inverse)
-                responses[j, :, first : first + forces.shape[1]] = found
+        if not m and h not in load:
+            continue
+        if superposed is not None and (h or generalised_inverse != "pinned"):
+            gain = superposed.gain(h * omega)
+            responses[j, :, :m] = superpose(seen, gain, seen[:m].T)
+            if h in load:
+                responses[j, :, m] = seen @ (gain * (superposed.shapes.T @ load[h]))
+        else:
+            forces = np.column_stack([rows.T, load[h]] if h in load else [rows.T])
+            responses[j, :, : forces.shape[1]] = receptance(model, h * omega, readers, forces, generalised_inverse)
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
         motion = readers @ modes
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)
@@ -134,6 +139,18 @@ class NormalModes:
     stiffness: RealArray
     mass: RealArray
     damping: RealArray
+
+    def gain(self, omega: float) -> ComplexArray:
+        """``(n,)`` response of each mode to a unit of its force; none of rigid modes at zero frequency.
+
+        Raises:
+            ModelError: The frequency hits an undamped mode exactly.
+        """
+        impedance = self.stiffness - omega**2 * self.mass + 1j * omega * self.damping
+        responds = impedance != 0
+        if omega and not np.all(responds):
+            raise ModelError(f"{omega / 2 / np.pi:g} Hz hits an undamped mode exactly; give the model some damping")
+        return np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
 
 
 @lru_cache(maxsize=8)
@@ -185,18 +202,16 @@ def receptance(
             return readers @ solve_static(model, forces, generalised_inverse)
         impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
         return readers @ scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True)
-    impedance = modes.stiffness - omega**2 * modes.mass + 1j * omega * modes.damping
-    responds = impedance != 0 if omega == 0 else np.ones(impedance.size, dtype=bool)
-    if not np.all(impedance[responds]):
-        raise ModelError(f"{omega / 2 / np.pi:g} Hz hits an undamped mode exactly; give the model some damping")
-    gain = np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
-    read, excited = readers @ modes.shapes, modes.shapes.T @ forces
-    result = np.empty((read.shape[0], excited.shape[1]), dtype=complex)
+    return superpose(readers @ modes.shapes, modes.gain(omega), modes.shapes.T @ forces)
+
+
+def superpose(read: RealArray, gain: ComplexArray, excited: ComplexArray) -> ComplexArray:
+    """``(p, k)`` response that rows read ``(p, n)`` where each of ``n`` modes answers by its gain to ``(n, k)``."""
     if np.iscomplexobj(excited):
-        np.matmul(read * gain, excited, out=result)
-    else:  # real products: half the work of complex ones
-        result.real = (read * gain.real) @ excited
-        result.imag = (read * gain.imag) @ excited
+        return (read * gain) @ excited
+    result = np.empty((read.shape[0], excited.shape[1]), dtype=complex)
+    result.real = (read * gain.real) @ excited  # real products: half the work of complex ones
+    result.imag = (read * gain.imag) @ excited
     return result
 
 
