@@ -14,10 +14,9 @@ from ewr_fenicsx.estimates import (
     ErrorEstimate,
     choose_harmonics,
     choose_samples,
-    estimate_harmonics,
     estimate_modes,
     estimate_samples,
-    estimate_weight,
+    estimate_together,
     match_mobility,
     measure_distance,
 )
@@ -29,7 +28,6 @@ RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
-TRUST = 5.0  # factor within which the estimate of a first solve is trusted; a second one confirms what is closer
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
 
 
@@ -70,7 +68,8 @@ class AccurateSolution:
     def summary(self) -> str:
         """A few lines for people."""
         found, orders = self.estimate, self.solution.orders
-        parts = {"harmonics": found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
+        first = "harmonics, samples and weight together" if np.isnan(found.samples) else "harmonics"
+        parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
         lines = [
             f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
@@ -94,10 +93,8 @@ def solve_to_accuracy(
 ) -> AccurateSolution:
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
-    Starts with few harmonics and samples, estimates the error of each knob and raises the one that dominates, each
-    solve started at the one before. A first solve by itself is believed only where its estimate is far below what is
-    asked; else a second one, with more harmonics, must confirm it. Harmonics whose contact forces do not matter are
-    left out on the way.
+    Starts with few harmonics and samples, estimates the error and raises the knob that dominates, each solve started
+    at the one before. Harmonics whose contact forces do not matter are left out on the way.
 
     Args:
         problem: The problem; its own harmonics and samples are not looked at, weights that it gives are kept.
@@ -133,16 +130,15 @@ def solve_to_accuracy(
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
             break
         before, solution = solution if levels else None, found
-        estimate = judge(solution, before, levels, modes, accuracy)
+        estimate = judge(solution, before, modes, accuracy)
         levels.append(
             Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
         )
-        kept = estimate.total <= accuracy
-        if kept and (len(levels) > 1 or TRUST * estimate.total <= accuracy):
+        if estimate.total <= accuracy:
             break
-        if estimate.dominating == "modes" and not kept:
+        if estimate.dominating == "modes":
             limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
-        elif estimate.dominating == "samples" and not kept:
+        elif estimate.dominating == "samples":
             density *= 2
             if density > MOST_SAMPLES:
                 limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
@@ -152,14 +148,10 @@ def solve_to_accuracy(
             dropped |= set(posed.basis.orders) - needed
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
             raised = min(raised, highest, top + room)
-            if raised <= top and kept:
-                break
             if raised <= top:
                 limit = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
                 limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit
             top = raised
-    if np.isnan(estimate.samples):  # a limit was hit while harmonics dominated
-        estimate = replace(judge(solution, None, levels, modes, np.inf), harmonics=estimate.harmonics)
     return AccurateSolution(
         solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
     )
@@ -174,24 +166,22 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
 
 
 def judge(
-    solution: PeriodicSolution,
-    before: PeriodicSolution | None,
-    levels: Sequence[Level],
-    modes: Sequence[int],
-    accuracy: float,
+    solution: PeriodicSolution, before: PeriodicSolution | None, modes: Sequence[int], accuracy: float
 ) -> ErrorEstimate:
-    """Estimated errors of a solution; the change from the level before counts as well where it tells of larger ones.
+    """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
-    Where the harmonics alone are above the accuracy, they are raised whatever the other errors are: those wait.
+    Harmonics, samples and weights are looked at together. Only where more harmonics have not mended it, the samples
+    are looked at by themselves: another knob may dominate.
     """
-    harmonics = estimate_harmonics(solution)
-    if before is not None and levels[-1].orders[-1] != solution.orders[-1]:
-        growth = solution.orders[-1] / max(1, levels[-1].orders[-1])
-        harmonics = max(harmonics, measure_distance(before, solution) / (growth**RATE - 1))
-    if harmonics > accuracy:
-        return ErrorEstimate(harmonics, np.nan)
-    error_of_modes = estimate_modes(solution, modes) if len(modes) else np.nan
-    return ErrorEstimate(harmonics, estimate_samples(solution), estimate_weight(solution), error_of_modes)
+    error, samples = estimate_together(solution, accuracy), np.nan
+    if before is not None:
+        growth = solution.orders[-1] / max(1, before.orders[-1])
+        if growth > 1:
+            error = max(error, measure_distance(before, solution) / (growth**RATE - 1))
+        if accuracy < error < np.inf:
+            samples = min(estimate_samples(solution), error)
+    error_of_modes = estimate_modes(solution, modes) if len(modes) and error <= accuracy else np.nan
+    return ErrorEstimate(error - np.nan_to_num(samples), samples, modes=error_of_modes)
 
 
 def next_order(levels: Sequence[Level], accuracy: float) -> int:

@@ -1,12 +1,14 @@
 """How far a periodic solution is from the one without truncation, estimated from the solution itself.
 
 The error is that of the outputs' oscillation over a period: the norm of the difference over the norm, the largest over
-the outputs; phase counts. It is estimated by single Newton steps in which one knob is raised:
+the outputs; phase counts. It is estimated by single Newton steps on a neighbouring problem:
 
 - *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
+
+The first three cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
+SURE = (0.2, 4.0)  # one step's estimate over the accuracy, outside of which no second one is needed
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,8 @@ class ErrorEstimate:
     """Estimated errors of a solution, relative, by cause; NaN where a cause was not looked at.
 
     Attributes:
-        harmonics: By the harmonics left out.
-        samples: By the samples at which the laws are evaluated.
+        harmonics: By the harmonics left out, or by them and by samples and weight together.
+        samples: By the samples at which the laws are evaluated, looked at by themselves.
         weight: What another weight of the friction law would change; it is truncation seen from another side.
         modes: By the modes left out of the reduced model.
     """
@@ -89,38 +92,54 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution) -> flo
     return compare_responses(here, there)
 
 
+def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSolution | None:
+    """One Newton step from a solution towards that of a neighbouring problem; None where it cannot be solved for.
+
+    Args:
+        solution: Converged, or nearly.
+        problem: The same joint with other harmonics, samples or weights.
+    """
+    problem = leave_out_idle(problem, solution)
+    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
+    if problem.system.rows.shape[0]:
+        unit = float(np.linalg.norm(solution.forces)) or 1.0  # any: nothing is compared with a tolerance
+        balance = HarmonicBalance(problem.system, unit)
+        *known, rigid = carry_over(solution, balance)
+        unknowns = balance.pack(known[0], rigid)
+        step = balance.linearise(unknowns, known[1])  # at its own motion, which another compliance would change
+        try:
+            forces, rigid = balance.unpack(unknowns - step.solve(step.residual))
+        except np.linalg.LinAlgError:
+            return None
+    return replace(
+        solution, problem=problem, forces=forces, rigid=rigid, converged=False, reason="one Newton step", iterations=1
+    )
+
+
 def step_towards(solution: PeriodicSolution, problem: ContactProblem) -> float:
     """How far one Newton step on a neighbouring problem moves the outputs of a solution, relative.
 
-    Args:
-        solution: Converged.
-        problem: The same joint with other harmonics, samples or weights.
-
-    Returns:
-        Infinity where the step cannot be solved for.
+    Infinity where the step cannot be solved for.
     """
-    problem = leave_out_idle(problem, solution)
-    orders = problem.basis.orders
-    before = read_response(solution.problem, solution.forces, solution.rigid, orders)
-    if problem.system.rows.shape[0] == 0:
-        return compare_responses(read_response(problem, np.zeros((len(orders), 0)), np.zeros(0), orders), before)
-    balance = HarmonicBalance(problem.system)
-    forces, motion, rigid = carry_over(solution, balance)
-    unknowns = balance.pack(forces, rigid)
-    step = balance.linearise(unknowns, motion)  # at its own motion, which another model's compliance would change
-    try:
-        moved = balance.unpack(unknowns - step.solve(step.residual))
-    except np.linalg.LinAlgError:
+    return measure_step(solution, take_step(solution, problem))
+
+
+def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None) -> float:
+    """How far a step of ``take_step`` moved the outputs, relative, at the harmonics that it has."""
+    if moved is None:
         return np.inf
-    return compare_responses(read_response(problem, *moved, orders), before)
+    here, there = (read_response(s.problem, s.forces, s.rigid, moved.orders) for s in (moved, solution))
+    return compare_responses(here, there)
 
 
 def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:
     """The problem with all harmonics up to half as high again, or with ``orders``, and samples to match."""
     highest = problem.basis.orders[-1]
-    chosen = tuple(range(highest + max(highest // 2 + 2, LEAST_LOOKAHEAD))) if orders is None else orders
+    raised = highest + max(highest // 2 + 2, LEAST_LOOKAHEAD) - 1 if orders is None else orders[-1]
+    everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
-    return replace(problem, harmonics=chosen, samples=choose_samples(chosen[-1], density))
+    chosen = everything if orders is None else orders  # a number leaves out what is zero by symmetry
+    return replace(problem, harmonics=chosen, samples=choose_samples(raised, density))
 
 
 def choose_samples(highest: int, density: float) -> int:
@@ -131,6 +150,38 @@ def choose_samples(highest: int, density: float) -> int:
 def estimate_harmonics(solution: PeriodicSolution) -> float:
     """Error by the harmonics left out: one Newton step with half as many again."""
     return step_towards(solution, raise_harmonics(solution.problem))
+
+
+def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
+    """One Newton step with half as many harmonics again, twice the samples and another weight, all at once.
+
+    What it changes is the error by all three; where it is too large, the step is a start for more harmonics.
+    """
+    raised = raise_harmonics(solution.problem)
+    weight = read_friction_weight(solution.problem)
+    return take_step(
+        solution,
+        replace(
+            raised,
+            samples=2 * raised.basis.samples,
+            rho_tangential=raised.rho_tangential if weight is None else WEIGHT_CHANGE * weight,
+        ),
+    )
+
+
+def estimate_together(solution: PeriodicSolution, accuracy: float) -> float:
+    """Error by harmonics, samples and weight at once, as exactly as it takes to compare it with an accuracy.
+
+    One Newton step tells where it is far from the accuracy. Where it is near, a second one on the same problem follows:
+    it is mostly closer to the true error, and half of what it changed is added for what further steps would.
+    """
+    ahead = look_ahead(solution)
+    first = measure_step(solution, ahead)
+    low, high = SURE
+    if not low * accuracy < first < high * accuracy:
+        return first
+    second = measure_step(solution, take_step(ahead, ahead.problem))
+    return second + abs(second - first) / 2
 
 
 def estimate_samples(solution: PeriodicSolution) -> float:

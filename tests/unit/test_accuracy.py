@@ -16,8 +16,11 @@ from ewr_fenicsx.estimates import (
     estimate_errors,
     estimate_modes,
     estimate_samples,
+    estimate_together,
+    look_ahead,
     match_mobility,
     measure_distance,
+    measure_step,
     step_towards,
 )
 
@@ -45,6 +48,33 @@ def test_the_estimate_is_within_a_factor_of_five_of_the_true_error(harmonics, tr
     solution = solve(rub_and_lift_off(harmonics))
     true = measure_distance(solution, truth)
     assert true / 5 < estimate_errors(solution).total < 5 * true
+
+
+@pytest.mark.parametrize("harmonics", [3, 5, 9, 15, 25])
+def test_two_steps_on_all_knobs_at_once_are_within_a_factor_of_three(harmonics, truth):
+    """Asked about an accuracy near the error; what is far from it needs one step."""
+    solution = solve(rub_and_lift_off(harmonics))
+    true = measure_distance(solution, truth)
+    assert true / 3 < estimate_together(solution, true) < 3 * true
+    one_step = measure_step(solution, look_ahead(solution))
+    for far in (1e3 * true, 1e-3 * true):
+        assert estimate_together(solution, far) == one_step
+    assert estimate_together(solution, true) != one_step
+
+
+@pytest.mark.parametrize("enough", [200, 10**9])
+def test_samples_are_raised_where_they_dominate(monkeypatch, enough):
+    """As if all the error came from fewer samples than ``enough``."""
+    blame = lambda solution: 1.0 if solution.problem.basis.samples < enough else 0.0  # noqa: E731
+    monkeypatch.setattr("ewr_fenicsx.accuracy.estimate_samples", blame)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.003)
+    if enough == 200:
+        pairs = list(zip(found.levels, found.levels[1:], strict=False))
+        raised = [(a.samples, b.samples) for a, b in pairs if a.orders[-1] == b.orders[-1]]
+        assert found.reached and raised and raised[-1][1] >= enough
+        assert all(few < enough and more > few for few, more in raised)
+    else:
+        assert "samples a period still leave an error" in found.limit and not found.reached
 
 
 def test_the_effect_of_the_samples_is_estimated(truth):
