@@ -11,7 +11,9 @@ more than a third of the smallest accuracy asked, neither counts as a reference,
 contact nodes with a mass of their own may chatter, and a problem may have several solutions.
 
 The cheapest fixed setting is found by trying: orders, both friction weights and two densities of samples, from cold;
-the cheapest counts whose true error meets the accuracy, which a user could not know. Times are the process's own (CPU).
+the cheapest counts whose true error meets the accuracy, which a user could not know. Errors do not fall steadily with
+the order, so the cheapest may meet the accuracy by chance: beside it stands the cheapest whose next two orders, where
+they were tried, meet it as well. Times are the process's own (CPU), short ones the median of three.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from hard_cases import CapReached, draw_cases, pose_case
@@ -43,6 +46,7 @@ ORDERS = (3, 5, 8, 12, 18, 27, 40)
 MOST_UNKNOWNS = 3500  # of fixed settings and references
 HIGH_ORDER = 47
 STEPS = (800, 1600)
+SHORT = 0.5  # seconds, below which a time is taken three times
 LINEAR = 1e-6  # error of one harmonic below which nothing slips or lifts off
 # the blade root of the studies: frequency [Hz], friction, load over the demo's
 BLADE = (
@@ -59,6 +63,9 @@ GALLERY = {
 }
 
 
+Result = TypeVar("Result")
+
+
 @dataclass(frozen=True)
 class Reference:
     """Amplitudes of the outputs, ``(n_h, p)`` at harmonics 1.., and how far the two ways to them are apart."""
@@ -66,6 +73,16 @@ class Reference:
     response: np.ndarray
     own_error: float
     way: str
+
+
+def time_run(run: Callable[[], Result]) -> tuple[Result, float]:
+    """What a run returns, and its processor time; the median of three where it is short."""
+    spent: list[float] = []
+    while not spent or (len(spent) < 3 and spent[0] < SHORT):
+        begin = time.process_time()
+        result = run()
+        spent.append(time.process_time() - begin)
+    return result, float(np.median(spent))
 
 
 @contextmanager
@@ -131,16 +148,18 @@ def try_fixed(problem: ContactProblem, reference: np.ndarray, cap: float) -> lis
             for n in ORDERS:
                 if 2 * n * problem.system.rows.shape[0] > MOST_UNKNOWNS:
                     break
-                posed = replace(problem, harmonics=n, samples=choose_samples(n, density))
-                begin = time.process_time()
+
+                def run(n=n, density=density, weight=weight) -> PeriodicSolution:
+                    posed = replace(problem, harmonics=n, samples=choose_samples(n, density))
+                    if weight == "mobility":
+                        posed = replace(posed, rho_tangential=match_mobility(posed))
+                    return solve(posed)
+
                 try:
                     with limit_work(cap):
-                        if weight == "mobility":
-                            posed = replace(posed, rho_tangential=match_mobility(posed))
-                        solution = solve(posed)
+                        solution, spent = time_run(run)
                 except (CapReached, EwrError):
                     break
-                spent = time.process_time() - begin
                 error = compare_responses(read(solution), reference)
                 rows.append({"N": n, "weight": weight, "density": density, "error": error, "seconds": spent})
                 if error < 0.3 * min(ACCURACIES):
@@ -150,16 +169,24 @@ def try_fixed(problem: ContactProblem, reference: np.ndarray, cap: float) -> lis
 
 def try_asked(problem: ContactProblem, accuracy: float, reference: np.ndarray, cap: float) -> dict | None:
     """What comes out where an accuracy is asked for; None where the cap was reached or nothing found."""
-    begin = time.process_time()
     try:
         with limit_work(cap):
-            found = solve_to_accuracy(problem, accuracy)
+            found, spent = time_run(lambda: solve_to_accuracy(problem, accuracy))
     except (CapReached, EwrError) as error:
         return {"accuracy": accuracy, "failed": type(error).__name__}
-    spent = time.process_time() - begin
     true = compare_responses(read(found.solution), reference)
     row = {"accuracy": accuracy, "true": true, "estimate": found.estimate.total, "reached": found.reached}
     return row | {"N": found.solution.orders[-1], "levels": len(found.levels), "seconds": spent, "limit": found.limit}
+
+
+def find_cheapest(fixed: list[dict], accuracy: float, steadily: bool) -> float | None:
+    """Least time of the fixed settings that meet an accuracy, ``steadily``: with their next two orders as well."""
+
+    def meets(row: dict) -> bool:
+        same = [f for f in fixed if all(f[k] == row[k] for k in ("weight", "density")) and f["N"] >= row["N"]]
+        return all(f["error"] <= accuracy for f in same[: 3 if steadily else 1])
+
+    return min((row["seconds"] for row in fixed if meets(row)), default=None)
 
 
 def is_linear(solution: PeriodicSolution) -> bool:
@@ -212,8 +239,8 @@ def run_case(name: str, problem: ContactProblem, cap: float) -> dict:
     asked = [try_asked(problem, a, reference.response, cap) for a in ACCURACIES]
     fixed = try_fixed(problem, reference.response, cap)
     for row in asked:
-        meets = [f["seconds"] for f in fixed if f["error"] <= row["accuracy"]]
-        row["cheapest"] = min(meets, default=None)
+        row["cheapest"] = find_cheapest(fixed, row["accuracy"], steadily=False)
+        row["cheapest_steady"] = find_cheapest(fixed, row["accuracy"], steadily=True)
     return {"name": name, "kind": "compared", "way": reference.way, "own_error": reference.own_error} | {
         "asked": asked,
         "fixed": fixed,
@@ -230,7 +257,7 @@ def summarise(cases: list[dict]) -> list[list[object]]:
         reached = [r for r in done if r["reached"]]
         kept = [r for r in reached if r["true"] <= r["accuracy"]]
         near = [r for r in done if r["true"] / 5 <= r["estimate"] <= 5 * r["true"]]
-        ratio = [r["seconds"] / r["cheapest"] for r in reached if r["cheapest"]]
+        ratio, steady = ([r["seconds"] / r[k] for r in reached if r[k]] for k in ("cheapest", "cheapest_steady"))
         share = lambda part, of: 100 * len(part) / len(of) if of else None  # noqa: E731
         table.append(
             [
@@ -242,6 +269,8 @@ def summarise(cases: list[dict]) -> list[list[object]]:
                 float(np.median(ratio)) if ratio else None,
                 share([r for r in ratio if r <= 2.5], ratio),
                 max(ratio, default=None),
+                float(np.median(steady)) if steady else None,
+                share([r for r in steady if r <= 2.5], steady),
             ]
         )
     return table
@@ -249,6 +278,7 @@ def summarise(cases: list[dict]) -> list[list[object]]:
 
 HEADER = ["asked", "cases", "said to be reached", "true error at most asked, %", "estimate within a factor of 5, %"]
 HEADER += ["cost over cheapest, median", "at most 2.5, %", "largest"]
+HEADER += ["cost over cheapest whose next two orders meet it too, median", "of that at most 2.5, %"]
 
 
 def main() -> None:
