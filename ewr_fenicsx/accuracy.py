@@ -26,6 +26,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 FIRST_ORDER = 3  # highest harmonic of the first solve
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
+GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
@@ -189,5 +190,5 @@ def next_order(levels: Sequence[Level], accuracy: float) -> int:
     here = levels[-1]
     goal = max(0.8 * accuracy - np.nan_to_num(here.estimate.samples), 0.3 * accuracy)
     wanted = (np.nanmax([here.estimate.harmonics, here.estimate.weight]) / goal) ** (1 / RATE)
-    low, high = GROWTH
+    low, high = GROWTH if here.unknowns < MANY else GROWTH_OF_MANY
     return int(np.ceil(max(1, here.orders[-1]) * min(max(wanted, low), high)))
