@@ -19,7 +19,7 @@ import scipy.linalg
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.elimination import BATCH, REDUNDANCY, Derivative, Elimination, apply_harmonics
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
-from ewr_fenicsx.law_kinds import Motion, Signal, Variable
+from ewr_fenicsx.law_kinds import Motion, Response, Signal, Variable
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
@@ -34,6 +34,7 @@ class HarmonicBalance:
     def __init__(self, system: ContactSystem, force_unit: float | None = None):
         self.system = system
         self._force_unit = force_unit
+        self._last = None  # the point at which the laws were evaluated last, and what came out
         self.basis = system.basis
         self.compliance = system.compliance
         self.rate = 1j * system.compliance.omega * np.array(system.basis.orders)
@@ -137,9 +138,7 @@ class HarmonicBalance:
 
     def residual(self, unknowns: RealArray) -> RealArray:
         """Scaled weighted residual, ``(size,)``."""
-        forces, rigid = self.unpack(unknowns)
-        seen = self.sample(forces, self.compliance.motion(forces, rigid))
-        responses = [law.evaluate(motion) for law, motion in zip(self.system.laws, seen, strict=True)]
+        forces, rigid, _, responses = self._respond(unknowns)
         return self._project(forces, rigid, [r.residual for r in responses])
 
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
@@ -151,12 +150,9 @@ class HarmonicBalance:
                 that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
                 linearised one.
         """
-        forces, rigid = self.unpack(unknowns)
-        caused = self.compliance.motion(forces, rigid)
+        forces, rigid, caused, responses = self._respond(unknowns, motion)
         derivatives, residuals = [], []
-        seen = self.sample(forces, caused if motion is None else motion)
-        for law, rows, at in zip(self.system.laws, self.law_rows, seen, strict=True):
-            response = law.evaluate(at)
+        for law, rows, response in zip(self.system.laws, self.law_rows, responses, strict=True):
             residuals.append(response.residual)
             for variable, direction, values in response.partials:
                 columns = self.system.row_of(direction, law.pairs)
@@ -166,6 +162,23 @@ class HarmonicBalance:
         if motion is not None:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
         return step
+
+    def _respond(
+        self, unknowns: RealArray, motion: ComplexArray | None = None
+    ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response]]:
+        """Forces, rigid coordinates, the motion that they cause, and the laws' responses to it or to another motion.
+
+        The last point is remembered: a Newton step starts where the line search before it ended.
+        """
+        if motion is None and self._last is not None and np.array_equal(unknowns, self._last[0]):
+            return self._last[1]
+        forces, rigid = self.unpack(unknowns)
+        caused = self.compliance.motion(forces, rigid)
+        seen = self.sample(forces, caused if motion is None else motion)
+        answer = forces, rigid, caused, [law.evaluate(at) for law, at in zip(self.system.laws, seen, strict=True)]
+        if motion is None:
+            self._last = unknowns.copy(), answer
+        return answer
 
     def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
         coefficients = np.empty(self.unknown.shape)
