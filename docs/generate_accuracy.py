@@ -300,8 +300,8 @@ over the largest force or opening. Times are one processor's ({cores} cores, loa
     [solver]
     accuracy = 0.01          # in place of harmonics and samples
 
-or `solve_to_accuracy(problem, 0.01)`. It starts with three harmonics, looks at what a Newton step with more harmonics,
-more samples and another weight at once would change, and one with fewer modes, raises the knob that dominates, and
+or `solve_to_accuracy(problem, 0.01)`. It starts with three harmonics, looks at what a Newton step with more harmonics
+and more samples would change, and others with another weight and with fewer modes, raises the knob that dominates, and
 starts the next solve at the last. Where the first step moves the outputs by about as much as is asked, a second one on
 the same problem sharpens the estimate. It comes with the result, and so does what kept it from the accuracy. It speaks
 of the outputs at the frequency given, and of the contact solve and the modes: what the mesh does to them it does not

@@ -17,6 +17,7 @@ from ewr_fenicsx.estimates import (
     estimate_modes,
     estimate_samples,
     estimate_together,
+    estimate_weight,
     match_mobility,
     measure_distance,
 )
@@ -69,7 +70,7 @@ class AccurateSolution:
     def summary(self) -> str:
         """A few lines for people."""
         found, orders = self.estimate, self.solution.orders
-        first = "harmonics, samples and weight together" if np.isnan(found.samples) else "harmonics"
+        first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
         parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
         lines = [
@@ -171,8 +172,8 @@ def judge(
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
-    Harmonics, samples and weights are looked at together. Only where more harmonics have not mended it, the samples
-    are looked at by themselves: another knob may dominate.
+    Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
+    errors are: those wait. Where more harmonics have not mended it, the samples are looked at by themselves.
     """
     error, samples = estimate_together(solution, accuracy), np.nan
     if before is not None:
@@ -181,8 +182,10 @@ def judge(
             error = max(error, measure_distance(before, solution) / (growth**RATE - 1))
         if accuracy < error < np.inf:
             samples = min(estimate_samples(solution), error)
-    error_of_modes = estimate_modes(solution, modes) if len(modes) and error <= accuracy else np.nan
-    return ErrorEstimate(error - np.nan_to_num(samples), samples, modes=error_of_modes)
+    if error > accuracy:
+        return ErrorEstimate(error - np.nan_to_num(samples), samples)
+    error_of_modes = estimate_modes(solution, modes) if len(modes) else np.nan
+    return ErrorEstimate(error, np.nan, estimate_weight(solution), error_of_modes)
 
 
 def next_order(levels: Sequence[Level], accuracy: float) -> int:

@@ -8,7 +8,8 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
 
-The first three cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
+The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
+What the weight does is kept apart: it may cancel against the harmonics.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class ErrorEstimate:
     """Estimated errors of a solution, relative, by cause; NaN where a cause was not looked at.
 
     Attributes:
-        harmonics: By the harmonics left out, or by them and by samples and weight together.
+        harmonics: By the harmonics left out, or by them and the samples together.
         samples: By the samples at which the laws are evaluated, looked at by themselves.
         weight: What another weight of the friction law would change; it is truncation seen from another side.
         modes: By the modes left out of the reduced model.
@@ -153,24 +154,13 @@ def estimate_harmonics(solution: PeriodicSolution) -> float:
 
 
 def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
-    """One Newton step with half as many harmonics again, twice the samples and another weight, all at once.
-
-    What it changes is the error by all three; where it is too large, the step is a start for more harmonics.
-    """
+    """One Newton step with half as many harmonics again and twice the samples: what it changes is the error by both."""
     raised = raise_harmonics(solution.problem)
-    weight = read_friction_weight(solution.problem)
-    return take_step(
-        solution,
-        replace(
-            raised,
-            samples=2 * raised.basis.samples,
-            rho_tangential=raised.rho_tangential if weight is None else WEIGHT_CHANGE * weight,
-        ),
-    )
+    return take_step(solution, replace(raised, samples=2 * raised.basis.samples))
 
 
 def estimate_together(solution: PeriodicSolution, accuracy: float) -> float:
-    """Error by harmonics, samples and weight at once, as exactly as it takes to compare it with an accuracy.
+    """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
     One Newton step tells where it is far from the accuracy. Where it is near, a second one on the same problem follows:
     it is mostly closer to the true error, and half of what it changed is added for what further steps would.
