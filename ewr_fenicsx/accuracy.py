@@ -132,7 +132,7 @@ def solve_to_accuracy(
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
             break
         before, solution = solution if levels else None, found
-        estimate = judge(solution, before, modes, accuracy)
+        estimate = judge(solution, before, levels, modes, accuracy)
         levels.append(
             Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
         )
@@ -168,19 +168,24 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
 
 
 def judge(
-    solution: PeriodicSolution, before: PeriodicSolution | None, modes: Sequence[int], accuracy: float
+    solution: PeriodicSolution,
+    before: PeriodicSolution | None,
+    levels: Sequence[Level],
+    modes: Sequence[int],
+    accuracy: float,
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
     Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
-    errors are: those wait. Where more harmonics have not mended it, the samples are looked at by themselves.
+    errors are: those wait. Where more harmonics than at the level before have not halved them, the samples are looked
+    at by themselves.
     """
     error, samples = estimate_together(solution, accuracy), np.nan
     if before is not None:
         growth = solution.orders[-1] / max(1, before.orders[-1])
         if growth > 1:
             error = max(error, measure_distance(before, solution) / (growth**RATE - 1))
-        if accuracy < error < np.inf:
+        if max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
             samples = min(estimate_samples(solution), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
