@@ -306,6 +306,10 @@ next solve at the last. A first solve whose estimate is not far below what is as
 estimate comes with the result, and so does what kept it from the accuracy. It speaks of the
 outputs at the frequency given, and of the contact solve and the modes: what the mesh does to them it does not know.
 
+In a scene the modes are raised as well: `reduction.modes`, stated or not, is where they begin. They are doubled where
+those left out matter most, and the next solve starts at the last; mesh, matrices, static responses and the modes
+already found are kept. From Python, `more_modes` of `solve_to_accuracy` says how to get more.
+
 {asked}
 
 The reference of the sample is time stepping, at two step sizes and extrapolated, or a harmonic solve of high order

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,7 +30,11 @@ GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
 TRUST = 5.0  # factor within which the estimate of a first solve is trusted; a second one confirms what is closer
+MODES_GROWTH = 2  # of their number, where the modes left out matter most
+MOST_MODES = 240
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
+
+MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class Level:
     estimate: ErrorEstimate
     steps: int
     seconds: float
+    modes: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +82,8 @@ class AccurateSolution:
             f"{orders[-1]}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
             f"{self.seconds:.2f} s"
         ]
+        if self.levels[-1].modes > self.levels[0].modes:
+            lines.append(f"  modes raised from {self.levels[0].modes} to {self.levels[-1].modes}")
         if self.limit:
             lines.append(f"  NOT as accurate as asked: {self.limit}")
         return "\n".join([*lines, self.solution.summary()])
@@ -91,6 +98,8 @@ def solve_to_accuracy(
     highest: int = 63,
     most_unknowns: int = 8000,
     modes: Sequence[int] = (),
+    more_modes: MoreModes | None = None,
+    most_modes: int = MOST_MODES,
 ) -> AccurateSolution:
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
@@ -107,7 +116,10 @@ def solve_to_accuracy(
         highest: Highest harmonic that may be used.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
-            estimated; no solve can mend it. None: it is not looked at.
+            estimated. None: it is not looked at.
+        more_modes: Number of modes -> the problem on a model that keeps so many, with the same pairs, and which of its
+            coordinates they are. None: modes that are too few are a limit.
+        most_modes: Modes that ``more_modes`` may be asked for.
 
     Returns:
         The last solution. What could not be reached is said by ``reached`` and ``limit``.
@@ -135,13 +147,24 @@ def solve_to_accuracy(
         before, solution = solution if levels else None, found
         estimate = judge(solution, before, levels, modes, accuracy)
         levels.append(
-            Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
+            Level(
+                posed.basis.orders,
+                posed.basis.samples,
+                found.unknowns,
+                estimate,
+                found.iterations,
+                found.seconds,
+                len(modes),
+            )
         )
         kept = estimate.total <= accuracy
         if kept and (len(levels) > 1 or TRUST * estimate.total <= accuracy):
             break
         if estimate.dominating == "modes" and not kept:
-            limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
+            if more_modes and len(modes) < most_modes:
+                problem, modes = more_modes(min(MODES_GROWTH * len(modes), most_modes))
+            else:
+                limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
         elif estimate.dominating == "samples" and not kept:
             density *= 2
             if density > MOST_SAMPLES:

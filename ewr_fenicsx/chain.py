@@ -31,18 +31,21 @@ Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (s
 
 @dataclass
 class Stopwatch:
-    """Times named stages and tells a progress display of them."""
+    """Times named stages and tells a progress display of them; a stage within another one counts for itself alone."""
 
     progress: Progress | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    _within: float = 0.0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         if self.progress:
             self.progress(name, None)
-        start = time.perf_counter()
+        start, outer, self._within = time.perf_counter(), self._within, 0.0
         yield
-        self.seconds[name] = time.perf_counter() - start
+        spent = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._within
+        self._within = outer + spent
         if self.progress:
             self.progress(name, self.seconds[name])
 

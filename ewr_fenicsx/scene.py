@@ -150,7 +150,9 @@ class Output(Section):
 class Reduction(Section):
     """Component mode synthesis."""
 
-    modes: Integer = entry(30, "-", "Fixed-interface modes kept.", ge=1)
+    modes: Integer = entry(
+        30, "-", "Fixed-interface modes kept; where an accuracy is asked for, to begin with: they are raised.", ge=1
+    )
 
 
 class FrequencyRange(Section):
@@ -209,7 +211,7 @@ class Solver(Section):
     accuracy: Number | None = entry(
         None,
         "-",
-        "Largest relative error of the outputs' oscillation; the solver then chooses harmonics, samples and weights.",
+        "Largest relative error of the outputs' oscillation; harmonics, samples, weights and modes are then chosen.",
         gt=0,
         lt=1,
     )

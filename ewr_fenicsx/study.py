@@ -6,16 +6,21 @@ Sweeps and wear are imported where a scene asks for them, and nowhere else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.reduction import keep_more_modes
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import find_idle_harmonics
+
+if TYPE_CHECKING:
+    from ewr_fenicsx.accuracy import AccurateSolution
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,7 @@ class Study:
     """A scene solved.
 
     Attributes:
+        chain: What it was solved on: the chain that was given, or one with as many modes as an accuracy took.
         solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
         seconds: Time of each stage.
         curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
@@ -30,6 +36,7 @@ class Study:
         write: Writes the study's own files into a folder; collective.
     """
 
+    chain: Chain
     solution: PeriodicSolution
     seconds: Mapping[str, float]
     curve: tuple[RealArray, RealArray] | None
@@ -54,18 +61,48 @@ def run_study(chain: Chain, progress: Progress | None = None) -> Study:
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    return Study(solution, watch.seconds, None, solution.summary(), lambda folder: None)
+    return Study(chain, solution, watch.seconds, None, solution.summary(), lambda folder: None)
+
+
+class _Modes:
+    """A chain whose reduction is made anew, with more modes, as an accuracy takes them; collective."""
+
+    def __init__(self, chain: Chain, watch: Stopwatch):
+        self.chain, self.watch = chain, watch
+
+    @property
+    def coordinates(self) -> range:
+        """Which coordinates of the model are modal."""
+        return self.chain.reduction.modal_coordinates
+
+    @property
+    def most(self) -> int:
+        """How many modes may be kept; those that the scene states in any case."""
+        from ewr_fenicsx.accuracy import MOST_MODES
+
+        return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
+
+    def keep_more(self, count: int) -> tuple[ContactProblem, range]:
+        """The scene's problem on a model with so many modes, and which of its coordinates are modal."""
+        with self.watch.stage("more modes"):
+            self.chain = replace(self.chain, reduction=keep_more_modes(self.chain.reduction, count))
+        chain = self.chain
+        return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
+
+    def solve(self, problem: ContactProblem) -> AccurateSolution:
+        """The periodic solution as accurate as the scene asks."""
+        from ewr_fenicsx.accuracy import solve_to_accuracy
+
+        asked = self.chain.scene.solver
+        knobs = {"modes": self.coordinates, "more_modes": self.keep_more, "most_modes": self.most}
+        return solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **knobs)
 
 
 def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) -> Study:
-    from ewr_fenicsx.accuracy import solve_to_accuracy
-
-    asked = chain.scene.solver
+    modes = _Modes(chain, watch)
     with watch.stage("solve"):
-        found = solve_to_accuracy(
-            problem, asked.accuracy, tolerance=asked.tolerance, modes=chain.reduction.modal_coordinates
-        )
-    return Study(found.solution, watch.seconds, None, found.summary(), lambda folder: None)
+        found = modes.solve(problem)
+    return Study(modes.chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None)
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:
@@ -105,7 +142,7 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
-    return Study(strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+    return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
 
 
 def _wear(chain: Chain, watch: Stopwatch) -> Study:
@@ -145,4 +182,4 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
     told += [f"  stopped {history.stopped}"] if history.stopped else []
     last = history.solutions[-1]
     course = history.cycles, history.depth.mean(axis=1)
-    return Study(last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)
+    return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)

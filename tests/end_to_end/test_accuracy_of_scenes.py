@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from ewr_fenicsx import cost_report
-from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx import cost_report, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.scene import load_scene
@@ -32,6 +34,35 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+
+
+def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
+    """A blade root with one mode: the answer is that of a hundred modes and more harmonics, within the accuracy."""
+    text = (ROOT / "demos" / "blade_root.toml").read_text(encoding="utf-8").replace('"../geometry', f'"{ROOT}/geometry')
+    text = text.replace("[loads.axial_pull]", "parameters = {mesh_size = 0.003, pairs = 4}\n[loads.axial_pull]", 1)
+    text = text.replace("frequency = 1000.0", "frequency = 1050.0")
+    path = tmp_path / "scene.toml"
+    path.write_text(text + "[reduction]\nmodes = 1\n[solver]\naccuracy = 0.03\n", encoding="utf-8")
+    assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "modes raised from 1 to" in told.out and "NOT as accurate" not in told.out
+    assert "more modes" in told.err, "a stage of its own"
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["seconds"]["more modes"] > 0
+    modes = summary["model"]["fixed_interface_frequencies_Hz"]
+    assert len(modes) > 1, "what is written is of the model that was solved"
+
+    scene = load_scene(path)
+    found = {}
+    for count in (1, 100):
+        chain = build_chain(scene.model_copy(update={"reduction": scene.reduction.model_copy(update={"modes": count})}))
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        found[count] = solve(replace(problem, harmonics=21)).output("tip")[1:]
+    tip = {entry["harmonic"]: entry["real"] + 1j * entry["imag"] for entry in summary["solution"]["outputs"]["tip"]}
+    answer = np.array([tip.get(h, 0.0) for h in range(1, 22)])
+    off = lambda here: np.linalg.norm(here - found[100]) / np.linalg.norm(found[100])  # noqa: E731
+    assert off(answer) <= 0.03
+    assert off(found[1]) > 0.03, "one mode was too few"
 
 
 @pytest.mark.parametrize(
