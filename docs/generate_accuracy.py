@@ -308,7 +308,16 @@ outputs at the frequency given, and of the contact solve and the modes: what the
 
 In a scene the modes are raised as well: `reduction.modes`, stated or not, is where they begin. They are doubled where
 those left out matter most, and the next solve starts at the last; mesh, matrices, static responses and the modes
-already found are kept. From Python, `more_modes` of `solve_to_accuracy` says how to get more.
+already found are kept.
+
+A sweep with an accuracy is followed with a few harmonics first, which says what solutions there are and how they hang
+together. Then each point is solved again to the accuracy, from where it is and with about the harmonics that its
+neighbour took; `frequency_response.csv` has the columns `estimate` and `highest_harmonic`, and frequencies at which the
+accuracy was not reached are told with the reason. Where a branch with more harmonics turns back earlier, points of the
+fold that it does not reach are left out. A branch that few harmonics do not show at all is not found.
+
+From Python: `frequency_response(..., accuracy=0.01)`, where `harmonics` are those of the first pass; `more_modes` of
+`solve_to_accuracy` says how to get more modes.
 
 {asked}
 

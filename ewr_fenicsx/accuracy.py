@@ -82,8 +82,9 @@ class AccurateSolution:
             f"{orders[-1]}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
             f"{self.seconds:.2f} s"
         ]
-        if self.levels[-1].modes > self.levels[0].modes:
-            lines.append(f"  modes raised from {self.levels[0].modes} to {self.levels[-1].modes}")
+        modes = [level.modes for level in self.levels]
+        if modes and modes[-1] > modes[0]:
+            lines.append(f"  modes raised from {modes[0]} to {modes[-1]}")
         if self.limit:
             lines.append(f"  NOT as accurate as asked: {self.limit}")
         return "\n".join([*lines, self.solution.summary()])
@@ -95,6 +96,7 @@ def solve_to_accuracy(
     start: PeriodicSolution | None = None,
     tolerance: float = 1e-8,
     *,
+    first: int = FIRST_ORDER,
     highest: int = 63,
     most_unknowns: int = 8000,
     modes: Sequence[int] = (),
@@ -113,6 +115,7 @@ def solve_to_accuracy(
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
+        first: Highest harmonic of the first solve, unless loads need more.
         highest: Highest harmonic that may be used.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
@@ -132,7 +135,7 @@ def solve_to_accuracy(
         raise ModelError(f"accuracy = {accuracy}; give a relative error between 0 and 1, such as 0.01")
     begin = time.perf_counter()
     loaded = [h for h, f in problem.loads.items() if np.any(f)]
-    top, density, dropped = max([FIRST_ORDER, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
+    top, density, dropped = max([first, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
     levels: list[Level] = []
     solution, estimate, limit = start, None, ""
     while not limit:

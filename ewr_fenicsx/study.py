@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
@@ -20,7 +21,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import find_idle_harmonics
 
 if TYPE_CHECKING:
-    from ewr_fenicsx.accuracy import AccurateSolution
+    from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,6 @@ class _Modes:
     @property
     def most(self) -> int:
         """How many modes may be kept; those that the scene states in any case."""
-        from ewr_fenicsx.accuracy import MOST_MODES
-
         return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
 
     def keep_more(self, count: int) -> tuple[ContactProblem, range]:
@@ -91,8 +90,6 @@ class _Modes:
 
     def solve(self, problem: ContactProblem) -> AccurateSolution:
         """The periodic solution as accurate as the scene asks."""
-        from ewr_fenicsx.accuracy import solve_to_accuracy
-
         asked = self.chain.scene.solver
         knobs = {"modes": self.coordinates, "more_modes": self.keep_more, "most_modes": self.most}
         return solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **knobs)
@@ -109,8 +106,9 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     from ewr_fenicsx.frequency_sweep import frequency_response
 
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
-    idle = find_idle_harmonics(pose_problem(scene, model, chain.interface))
-    kept = tuple(h for h in scene.harmonics if h not in idle.orders)
+    problem = pose_problem(scene, model, chain.interface)
+    idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
+    kept = tuple(h for h in problem.basis.orders if h not in idle.orders)
     settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
     with watch.stage("sweep"):
         curve = frequency_response(
@@ -122,6 +120,8 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
             comm=comm,
             **settings,
         )
+        if accuracy is not None and curve.solutions:
+            chain, curve = _refine(chain, watch, curve)
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
@@ -139,10 +139,52 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
 
     told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
     told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
+    told += _tell_accuracy(curve, accuracy) if curve.accurate else []
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
     return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+
+
+def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
+    """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
+    from ewr_fenicsx.frequency_sweep import refine_response
+
+    asked, modes = chain.scene.solver, _Modes(chain, watch)
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    shown = watch.progress is not None
+    while True:
+        curve = refine_response(
+            curve,
+            problem,
+            chain.scene.frequencies,
+            asked.accuracy,
+            asked.tolerance,
+            modes=modes.coordinates,
+            comm=chain.mesh.domain.comm,
+            progress=shown,
+        )
+        wanting = any(not found.reached and found.estimate.dominating == "modes" for found in curve.accurate)
+        count = min(MODES_GROWTH * len(modes.coordinates), modes.most)
+        if not wanting or count == len(modes.coordinates):
+            return modes.chain, curve
+        problem, _ = modes.keep_more(count)
+
+
+def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
+    """How accurate the solutions of a curve are thought to be, and why some are not as accurate as asked."""
+    worst = max(found.estimate.total for found in curve.accurate)
+    tops = [s.orders[-1] for s in curve.solutions]
+    solves = sum(len(found.levels) for found in curve.accurate)
+    lines = [
+        f"  estimated errors up to {worst:.1g} of {accuracy:g} asked, highest harmonics {min(tops)} to {max(tops)}, "
+        f"{solves} solves besides those of the curve"
+    ]
+    for found in curve.accurate:
+        if not found.reached:
+            frequency = found.solution.problem.frequency
+            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {found.estimate.total:.1g}; {found.limit}")
+    return lines
 
 
 def _wear(chain: Chain, watch: Stopwatch) -> Study:

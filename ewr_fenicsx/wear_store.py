@@ -14,7 +14,7 @@ from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import read_records, replace_file, restore, strip, write_records
 
-_FORMAT = "ewr_fenicsx wear, 1"
+_FORMAT = "ewr_fenicsx wear, 2"
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,15 @@ def write_scene(folder: Path, *more: str) -> Path:
     return path
 
 
+def write_root(path: Path, frequency: object, *more: str) -> Path:
+    """A blade root with a coarse mesh, at a frequency or several, and more entries."""
+    text = (ROOT / "demos" / "blade_root.toml").read_text(encoding="utf-8").replace('"../geometry', f'"{ROOT}/geometry')
+    text = text.replace("[loads.axial_pull]", "parameters = {mesh_size = 0.003, pairs = 4}\n[loads.axial_pull]", 1)
+    text = text.replace("frequency = 1000.0", f"frequency = {frequency}")
+    path.write_text("\n".join([text, *more]) + "\n", encoding="utf-8")
+    return path
+
+
 def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     scene = write_scene(tmp_path, "[solver]", "accuracy = 0.1")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
@@ -38,11 +48,7 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
 
 def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
     """A blade root with one mode: the answer is that of a hundred modes and more harmonics, within the accuracy."""
-    text = (ROOT / "demos" / "blade_root.toml").read_text(encoding="utf-8").replace('"../geometry', f'"{ROOT}/geometry')
-    text = text.replace("[loads.axial_pull]", "parameters = {mesh_size = 0.003, pairs = 4}\n[loads.axial_pull]", 1)
-    text = text.replace("frequency = 1000.0", "frequency = 1050.0")
-    path = tmp_path / "scene.toml"
-    path.write_text(text + "[reduction]\nmodes = 1\n[solver]\naccuracy = 0.03\n", encoding="utf-8")
+    path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", "accuracy = 0.03")
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr()
     assert "modes raised from 1 to" in told.out and "NOT as accurate" not in told.out
@@ -63,6 +69,30 @@ def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
     off = lambda here: np.linalg.norm(here - found[100]) / np.linalg.norm(found[100])  # noqa: E731
     assert off(answer) <= 0.03
     assert off(found[1]) > 0.03, "one mode was too few"
+
+
+def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
+    """With one mode to begin with; against single solves with harmonics and modes that are more than enough."""
+    frequencies = [950.0, 1050.0, 1150.0]
+    path = write_root(tmp_path / "scene.toml", frequencies, "[solver]", "accuracy = 0.1", "[reduction]", "modes = 1")
+    assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "of 0.1 asked, highest harmonics" in told and "NOT as accurate" not in told
+    with (tmp_path / "out" / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert len(summary["model"]["fixed_interface_frequencies_Hz"]) > 1
+    assert {"sweep", "more modes"} <= set(summary["seconds"])
+    assert len({row["highest_harmonic"] for row in rows}) > 1, "harmonics are chosen at each frequency"
+    scene = load_scene(path)
+    chain = build_chain(scene.model_copy(update={"reduction": scene.reduction.model_copy(update={"modes": 60})}))
+    for frequency, row in zip(frequencies, rows, strict=True):
+        assert float(row["frequency [Hz]"]) == frequency
+        assert float(row["estimate"]) <= 0.1
+        problem = pose_problem(scene, chain.reduction.model, chain.interface, frequency)
+        true = np.abs(solve(replace(problem, harmonics=13)).output("tip")[1:])
+        off = [float(row.get(f"|tip| harmonic {h}", 0.0)) - true[h - 1] for h in range(1, 14)]
+        assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
 
 
 @pytest.mark.parametrize(
