@@ -12,6 +12,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     ErrorEstimate,
+    Figure,
     choose_harmonics,
     choose_samples,
     estimate_harmonics,
@@ -102,6 +103,7 @@ def solve_to_accuracy(
     modes: Sequence[int] = (),
     more_modes: MoreModes | None = None,
     most_modes: int = MOST_MODES,
+    figure: Figure | None = None,
 ) -> AccurateSolution:
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
@@ -123,6 +125,7 @@ def solve_to_accuracy(
         more_modes: Number of modes -> the problem on a model that keeps so many, with the same pairs, and which of its
             coordinates they are. None: modes that are too few are a limit.
         most_modes: Modes that ``more_modes`` may be asked for.
+        figure: What is to be as accurate as the outputs, by its largest error over its largest value; None: nothing.
 
     Returns:
         The last solution. What could not be reached is said by ``reached`` and ``limit``.
@@ -148,7 +151,7 @@ def solve_to_accuracy(
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
             break
         before, solution = solution if levels else None, found
-        estimate = judge(solution, before, levels, modes, accuracy)
+        estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(
             Level(
                 posed.basis.orders,
@@ -185,7 +188,7 @@ def solve_to_accuracy(
                 limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit
             top = raised
     if np.isnan(estimate.samples):  # a limit was hit while harmonics dominated
-        estimate = replace(judge(solution, None, levels, modes, np.inf), harmonics=estimate.harmonics)
+        estimate = replace(judge(solution, None, levels, modes, np.inf, figure), harmonics=estimate.harmonics)
     return AccurateSolution(
         solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
     )
@@ -205,19 +208,22 @@ def judge(
     levels: Sequence[Level],
     modes: Sequence[int],
     accuracy: float,
+    figure: Figure | None = None,
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the level before counts as well where it tells of larger ones.
 
     Where the harmonics alone are above the accuracy, they are raised whatever the other errors are: those wait.
     """
-    harmonics = estimate_harmonics(solution)
+    harmonics = estimate_harmonics(solution, figure)
     if before is not None and levels[-1].orders[-1] != solution.orders[-1]:
         growth = solution.orders[-1] / max(1, levels[-1].orders[-1])
-        harmonics = max(harmonics, measure_distance(before, solution) / (growth**RATE - 1))
+        harmonics = max(harmonics, measure_distance(before, solution, figure) / (growth**RATE - 1))
     if harmonics > accuracy:
         return ErrorEstimate(harmonics, np.nan)
-    error_of_modes = estimate_modes(solution, modes) if len(modes) else np.nan
-    return ErrorEstimate(harmonics, estimate_samples(solution), estimate_weight(solution), error_of_modes)
+    error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan
+    return ErrorEstimate(
+        harmonics, estimate_samples(solution, figure), estimate_weight(solution, figure), error_of_modes
+    )
 
 
 def next_order(levels: Sequence[Level], accuracy: float) -> int:

@@ -31,6 +31,8 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
     fingerprint,
+    gather_output,
+    list_orders,
     read_records,
     replace_file,
     restore,
@@ -70,7 +72,7 @@ class FrequencyResponse:
     @cached_property
     def orders(self) -> tuple[int, ...]:
         """Harmonics that any of the solutions has, ``n_h`` of them."""
-        return tuple(sorted({h for s in self.solutions for h in s.orders}))
+        return list_orders(self.solutions)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
@@ -78,10 +80,7 @@ class FrequencyResponse:
         Raises:
             ModelError: The model has no such output.
         """
-        amplitudes = np.zeros((len(self.solutions), len(self.orders)), dtype=complex)
-        for i, s in enumerate(self.solutions):
-            amplitudes[i, np.searchsorted(self.orders, s.orders)] = s.output(name)
-        return amplitudes
+        return gather_output(self.solutions, name, self.orders)
 
     def figure(self, name: str) -> RealArray:
         """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.

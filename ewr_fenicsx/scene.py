@@ -200,7 +200,7 @@ class Wear(Section):
     tolerance: Number | None = entry(
         None,
         "-",
-        "Largest error of a cycle jump as a share of the final depth; by default every cycle is solved.",
+        "Largest error of a cycle jump as a share of the final depth; by default the accuracy, or every cycle.",
         gt=0,
     )
 
@@ -211,7 +211,8 @@ class Solver(Section):
     accuracy: Number | None = entry(
         None,
         "-",
-        "Largest relative error of the outputs' oscillation; harmonics, samples, weights and modes are then chosen.",
+        "Largest relative error of the outputs' oscillation, at every frequency of a sweep, and of the wear rate; "
+        "harmonics, samples, weights and modes are then chosen.",
         gt=0,
         lt=1,
     )

@@ -73,6 +73,23 @@ def _freeze(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
+def list_orders(solutions: Sequence[PeriodicSolution]) -> tuple[int, ...]:
+    """Harmonics that any of the solutions has."""
+    return tuple(sorted({h for s in solutions for h in s.orders}))
+
+
+def gather_output(solutions: Sequence[PeriodicSolution], name: str, orders: tuple[int, ...]) -> ComplexArray:
+    """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
+
+    Raises:
+        ModelError: The model has no such output.
+    """
+    amplitudes = np.zeros((len(solutions), len(orders)), dtype=complex)
+    for i, s in enumerate(solutions):
+        amplitudes[i, np.searchsorted(orders, s.orders)] = s.output(name)
+    return amplitudes
+
+
 def write_records(group: h5py.Group, records: Sequence[Record]) -> None:
     """Write records of one model and laws to an HDF5 group: one array for each attribute.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
@@ -88,17 +88,16 @@ class _Modes:
         chain = self.chain
         return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
 
-    def solve(self, problem: ContactProblem) -> AccurateSolution:
-        """The periodic solution as accurate as the scene asks."""
-        asked = self.chain.scene.solver
-        knobs = {"modes": self.coordinates, "more_modes": self.keep_more, "most_modes": self.most}
-        return solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **knobs)
+    @property
+    def choice(self) -> dict[str, object]:
+        """What ``solve_to_accuracy`` has to know of them."""
+        return {"modes": self.coordinates, "more_modes": self.keep_more, "most_modes": self.most}
 
 
 def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) -> Study:
-    modes = _Modes(chain, watch)
+    modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
-        found = modes.solve(problem)
+        found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
     return Study(modes.chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None)
 
 
@@ -191,17 +190,21 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
     from ewr_fenicsx.wear import Tolerance, evolve_wear
 
     scene, interface = chain.scene, chain.interface
-    asked = scene.wear
+    asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
+    share = accuracy if asked.tolerance is None else asked.tolerance
     with watch.stage("wear"):
         history = evolve_wear(
             pose_problem(scene, chain.reduction.model, interface),
             asked.cycles,
             spread_wear(scene, interface),
-            None if asked.tolerance is None else Tolerance(share=asked.tolerance, damped=True),
+            None if share is None else Tolerance(share=share, damped=True),
             keep_every=max(1, asked.cycles // 100),
             tolerance=scene.solver.tolerance,
+            accuracy=accuracy,
             progress=watch.progress is not None,
+            **({} if accuracy is None else modes.choice),
         )
+    chain = modes.chain
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
@@ -221,6 +224,14 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
         f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
         f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
     ]
+    if accuracy is not None:
+        tops = [s.orders[-1] for s in history.solutions]
+        told.append(
+            f"  estimated errors up to {history.estimates.max():.1g} of {accuracy:g} asked, highest harmonics "
+            f"{min(tops)} to {max(tops)}, {len(modes.coordinates)} modes"
+        )
+        short = history.cycles[history.estimates > accuracy]
+        told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
     told += [f"  stopped {history.stopped}"] if history.stopped else []
     last = history.solutions[-1]
     course = history.cycles, history.depth.mean(axis=1)

@@ -15,6 +15,7 @@ from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.study import run_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -93,6 +94,28 @@ def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
         true = np.abs(solve(replace(problem, harmonics=13)).output("tip")[1:])
         off = [float(row.get(f"|tip| harmonic {h}", 0.0)) - true[h - 1] for h in range(1, 14)]
         assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
+
+
+def test_wear_is_as_accurate_as_asked(tmp_path):
+    """From one mode; jumps by the same accuracy; against harmonics, modes and jumps that are more than enough."""
+    wear = ["[wear]", "coefficient = 1e-11", "cycles = 60"]
+    asked = load_scene(
+        write_root(tmp_path / "scene.toml", 1050.0, *wear, "[solver]", "accuracy = 0.1", "[reduction]", "modes = 1")
+    )
+    true = load_scene(
+        write_root(tmp_path / "true.toml", 1050.0, *wear, "tolerance = 0.01", "[solver]", "harmonics = 13")
+    )
+    found, truth = (run_study(build_chain(scene)) for scene in (asked, true))
+    assert len(found.chain.reduction.fixed_interface_frequencies) > 1
+    assert "of 0.1 asked, highest harmonics" in found.told and "NOT as accurate" not in found.told
+    (cycles, depth), (_, expected) = found.curve, truth.curve
+    assert len(cycles) < 40, "it jumped"
+    assert depth[-1] == pytest.approx(expected[-1], rel=0.3)  # as tests/verification/test_wear.py: three accuracies
+    assert found.solution.problem.wear.max() == pytest.approx(truth.solution.problem.wear.max(), rel=0.3)
+    found.write(tmp_path)
+    with (tmp_path / "wear.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert all(float(row["estimate"]) <= 0.1 for row in rows)
 
 
 @pytest.mark.parametrize(
