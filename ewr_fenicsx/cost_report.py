@@ -16,7 +16,7 @@ from ewr_fenicsx.estimates import estimate_errors, match_mobility
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.result_folder import SUMMARY
+from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -93,10 +93,11 @@ def time_run(chain: Chain) -> dict[str, float]:
     """Seconds of a run by stage: the chain as it was built, one solve, and writing results, which are thrown away."""
     solution = solve(pose_problem(chain.scene, chain.reduction.model, chain.interface))
     newton = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}
-    with TemporaryDirectory() as folder:
-        written = write_results(Path(folder) / "run", chain, solution, seconds=newton)
-        summary = next(path for path in written if path.name == SUMMARY)
-        return json.loads(summary.read_text(encoding="utf-8"))["seconds"]
+    comm = chain.mesh.domain.comm
+    with TemporaryDirectory() as own:
+        folder = Path(comm.bcast(own)) / "run"
+        write_results(folder, chain, solution, seconds=newton)
+        return on_rank_zero(comm, lambda: json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["seconds"])
 
 
 def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:
