@@ -84,8 +84,7 @@ def refine_point(
         return solve_to_accuracy(problem, accuracy, point, tolerance, first=first, modes=modes)
     except NotConverged as error:
         why = f"no solution found with harmonics up to {first}: {error.best.reason}"
-        estimate = estimate_errors(point)
-        return AccurateSolution(point, estimate, accuracy, estimate.total <= accuracy, why, (), 0.0)
+        return AccurateSolution(point, estimate_errors(point), accuracy, False, why, (), 0.0)
 
 
 def begin_next(found: AccurateSolution, first: int) -> int:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
@@ -70,6 +72,11 @@ class _Modes:
 
     def __init__(self, chain: Chain, watch: Stopwatch):
         self.chain, self.watch = chain, watch
+        self.chains = [chain]
+
+    def chain_of(self, solution: PeriodicSolution) -> Chain:
+        """The chain on whose model a solution is: not the last one, where more modes led to none."""
+        return next(chain for chain in self.chains if chain.reduction.model is solution.problem.model)
 
     @property
     def coordinates(self) -> range:
@@ -86,6 +93,7 @@ class _Modes:
         with self.watch.stage("more modes"):
             self.chain = replace(self.chain, reduction=keep_more_modes(self.chain.reduction, count))
         chain = self.chain
+        self.chains.append(chain)
         return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
 
     @property
@@ -98,7 +106,9 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
         found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
-    return Study(modes.chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None)
+    return Study(
+        modes.chain_of(found.solution), found.solution, watch.seconds, None, found.summary(), lambda folder: None
+    )
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:
@@ -204,7 +214,7 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
             progress=watch.progress is not None,
             **({} if accuracy is None else modes.choice),
         )
-    chain = modes.chain
+    chain = modes.chain_of(history.solutions[-1])
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
@@ -227,8 +237,8 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
     if accuracy is not None:
         tops = [s.orders[-1] for s in history.solutions]
         told.append(
-            f"  estimated errors up to {history.estimates.max():.1g} of {accuracy:g} asked, highest harmonics "
-            f"{min(tops)} to {max(tops)}, {len(modes.coordinates)} modes"
+            f"  estimated errors up to {np.nanmax(history.estimates):.1g} of {accuracy:g} asked, highest harmonics "
+            f"{min(tops)} to {max(tops)}, {len(chain.reduction.modal_coordinates)} modes"
         )
         short = history.cycles[history.estimates > accuracy]
         told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []

@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 from small_models import dovetail, lift_off_oscillator, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, frequency_sweep, solve, solve_to_accuracy
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    frequency_response,
+    frequency_sweep,
+    refining,
+    solve,
+    solve_to_accuracy,
+)
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import ModelError, OutputError
-from ewr_fenicsx.estimates import measure_distance
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
+from ewr_fenicsx.estimates import estimate_errors, measure_distance
 from ewr_fenicsx.following import agree
 from ewr_fenicsx.refining import join_points
 from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
@@ -181,6 +189,18 @@ def test_points_that_are_not_as_accurate_as_asked_say_why():
     assert (curve.table()["estimate"] > 1e-5).all()
     with pytest.raises(ModelError, match="between 0 and 1"):
         sweep(accuracy=1.5)
+
+
+def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch):
+    def fail(problem, *_, **__):
+        raise NotConverged("lost", best=solve(problem))
+
+    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
+    coarse, curve = sweep(), sweep(accuracy=0.02)
+    np.testing.assert_array_equal(curve.output("tip"), coarse.output("tip"))
+    assert not any(found.reached for found in curve.accurate)
+    assert all(found.limit.startswith("no solution found with harmonics up to 5") for found in curve.accurate)
+    assert [found.estimate.total for found in curve.accurate] == [estimate_errors(s).total for s in coarse.solutions]
 
 
 def test_an_accurate_curve_goes_round_its_folds():
