@@ -22,7 +22,6 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from hard_cases import Case, pose_case
@@ -42,6 +41,7 @@ from ewr_fenicsx.cost import (
     measure_figures,
     survey,
 )
+from ewr_fenicsx.cost_report import time_run
 from ewr_fenicsx.estimates import choose_harmonics, compare_responses
 from ewr_fenicsx.scene import load_scene
 
@@ -231,20 +231,11 @@ def adapt_harmonics(problem: ContactProblem, quick: bool) -> list[dict]:
 
 def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
     """Time of every stage of a run, first (with compilation, where nothing is cached) and again; memory of solves."""
-    from ewr_fenicsx.output import write_results
-
     scene, runs = load_scene(SCENE), []
     for _ in range(repeats):
         chain = build_chain(scene, MPI.COMM_SELF)
-        runs.append(dict(chain.seconds))
-        begin = time.perf_counter()
-        problem = pose_problem(scene, chain.reduction.model, chain.interface)
-        solution = solve(problem)
-        runs[-1] |= {f"solve: {stage}": t for stage, t in solution.stages.items()}
-        begin = time.perf_counter()
-        with TemporaryDirectory() as folder:
-            write_results(Path(folder) / "run", chain, solution, seconds={})
-        runs[-1]["output"] = time.perf_counter() - begin
+        runs.append(time_run(chain))
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
     solves = []
     for n in orders:
         tracemalloc.start()
@@ -261,7 +252,7 @@ def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = ("structure", "accuracies")
+    parts = ("structure", "accuracies", "stages")
     parser.add_argument("--only", choices=parts, help="measure that part anew, keep the rest")
     parser.add_argument(
         "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
@@ -285,6 +276,8 @@ def main() -> None:
         content |= json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
     if arguments.only == "structure":
         return keep("structure", structure=turn_structure(quick))
+    if arguments.only == "stages":
+        return keep("stages", stages=time_stages(2 if quick else 3, (3, 5) if quick else (5, 9, 15)))
     scene = load_scene(SCENE)
     chain = build_chain(scene, MPI.COMM_SELF)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)

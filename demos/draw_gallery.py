@@ -103,7 +103,7 @@ def draw_scene(name: str) -> str:
     study = run_study(chain)
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    draw_motion(left, chain, study.solution)
+    draw_motion(left, study.chain, study.solution)
     if len(scene.frequencies) > 1:
         draw_curve(right, *study.curve, "frequency [Hz]", "tip, rms [m]")
     elif scene.wear:

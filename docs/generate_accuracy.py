@@ -307,6 +307,27 @@ the same problem sharpens the estimate. It comes with the result, and so does wh
 of the outputs at the frequency given, and of the contact solve and the modes: what the mesh does to them it does not
 know.
 
+In a scene the modes are raised as well: `reduction.modes`, stated or not, is where they begin. They are doubled where
+those left out matter most, and the next solve starts at the last; mesh, matrices, static responses and the modes
+already found are kept.
+
+A sweep with an accuracy is followed with a few harmonics first, which says what solutions there are and how they hang
+together. Then each point is solved again to the accuracy, from where it is and with about the harmonics that its
+neighbour took; `frequency_response.csv` has the columns `estimate` and `highest_harmonic`, and frequencies at which the
+accuracy was not reached are told with the reason. Where a branch with more harmonics turns back earlier, points of the
+fold that it does not reach are left out. A branch that few harmonics do not show at all is not found.
+
+Wear with an accuracy asks the same of the wear rate, by its largest error over its largest value: where most pairs
+stick, outputs thought right within 1 % may come with a worn depth that is off by 15 %: a case of
+`tests/verification/test_wear.py`. Harmonics are chosen for the unworn joint and looked at again at every step that is
+kept; jumps are by the same accuracy unless `wear.tolerance` gives their own. The worn depth is tested to be right
+within three times the accuracy: once by the jumps, and twice because each rate is judged by single Newton steps while
+the depth is their sum. `wear.csv` has the same two columns.
+
+From Python: `frequency_response(..., accuracy=0.01)`, where `harmonics` are those of the first pass; `more_modes` of
+`solve_to_accuracy` says how to get more modes. `evolve_wear(..., accuracy=0.01)` takes the same arguments, and `figure`
+is what besides the outputs is to be so accurate.
+
 {asked}
 
 The reference of the sample is time stepping, at two step sizes and extrapolated, or a harmonic solve of high order
@@ -416,6 +437,8 @@ does so with a share of a fiftieth of the accuracy, on its way from one solve to
 {adapted}
 
 ## Time by stage, and memory
+
+`JIT` is what dolfinx compiles, or finds compiled by an earlier run; the first run here began with an empty cache.
 
 {stages}
 """

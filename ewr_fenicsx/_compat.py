@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import logging
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -21,6 +22,12 @@ from petsc4py import PETSc
 from ewr_fenicsx.errors import EwrError
 
 
+class _Clock:
+    """Adds up the time spent in ``compiling``."""
+
+    seconds = 0.0
+
+
 @contextmanager
 def compiling(what: str) -> Iterator[None]:
     """Around everything that makes dolfinx call the C compiler.
@@ -35,6 +42,7 @@ def compiling(what: str) -> Iterator[None]:
     """
     root = logging.getLogger()
     level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
+    begin = time.perf_counter()
     logging.disable(max(disabled, logging.INFO))
     try:
         yield
@@ -47,6 +55,12 @@ def compiling(what: str) -> Iterator[None]:
         logging.disable(disabled)
         root.setLevel(level)
         root.handlers[:] = handlers
+        _Clock.seconds += time.perf_counter() - begin
+
+
+def measure_compilation() -> float:
+    """Seconds that this process has spent so far on compiling forms and spaces, or on finding them compiled."""
+    return _Clock.seconds
 
 
 def jit_cache() -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     ErrorEstimate,
+    Figure,
     choose_harmonics,
     choose_samples,
     estimate_modes,
@@ -30,7 +31,11 @@ GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
+MODES_GROWTH = 2  # of their number, where the modes left out matter most
+MOST_MODES = 240
 IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
+
+MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class Level:
     estimate: ErrorEstimate
     steps: int
     seconds: float
+    modes: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +84,9 @@ class AccurateSolution:
             f"{orders[-1]}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
             f"{self.seconds:.2f} s"
         ]
+        modes = [level.modes for level in self.levels]
+        if modes and modes[-1] > modes[0]:
+            lines.append(f"  modes raised from {modes[0]} to {modes[-1]}")
         if self.limit:
             lines.append(f"  NOT as accurate as asked: {self.limit}")
         return "\n".join([*lines, self.solution.summary()])
@@ -89,9 +98,13 @@ def solve_to_accuracy(
     start: PeriodicSolution | None = None,
     tolerance: float = 1e-8,
     *,
+    first: int = FIRST_ORDER,
     highest: int = 63,
     most_unknowns: int = 8000,
     modes: Sequence[int] = (),
+    more_modes: MoreModes | None = None,
+    most_modes: int = MOST_MODES,
+    figure: Figure | None = None,
 ) -> AccurateSolution:
     """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
 
@@ -103,10 +116,15 @@ def solve_to_accuracy(
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
+        first: Highest harmonic of the first solve, unless loads need more.
         highest: Highest harmonic that may be used.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
-            estimated; no solve can mend it. None: it is not looked at.
+            estimated. None: it is not looked at.
+        more_modes: Number of modes -> the problem on a model that keeps so many, with the same pairs, and which of its
+            coordinates they are. None: modes that are too few are a limit.
+        most_modes: Modes that ``more_modes`` may be asked for.
+        figure: What is to be as accurate as the outputs, by its largest error over its largest value; None: nothing.
 
     Returns:
         The last solution. What could not be reached is said by ``reached`` and ``limit``.
@@ -119,7 +137,7 @@ def solve_to_accuracy(
         raise ModelError(f"accuracy = {accuracy}; give a relative error between 0 and 1, such as 0.01")
     begin = time.perf_counter()
     loaded = [h for h, f in problem.loads.items() if np.any(f)]
-    top, density, dropped = max([FIRST_ORDER, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
+    top, density, dropped = max([first, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
     levels: list[Level] = []
     solution, estimate, limit = start, None, ""
     while not limit:
@@ -132,14 +150,25 @@ def solve_to_accuracy(
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
             break
         before, solution = solution if levels else None, found
-        estimate = judge(solution, before, levels, modes, accuracy)
+        estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(
-            Level(posed.basis.orders, posed.basis.samples, found.unknowns, estimate, found.iterations, found.seconds)
+            Level(
+                posed.basis.orders,
+                posed.basis.samples,
+                found.unknowns,
+                estimate,
+                found.iterations,
+                found.seconds,
+                len(modes),
+            )
         )
         if estimate.total <= accuracy:
             break
         if estimate.dominating == "modes":
-            limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
+            if more_modes and len(modes) < most_modes:
+                problem, modes = more_modes(min(MODES_GROWTH * len(modes), most_modes))
+            else:
+                limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
         elif estimate.dominating == "samples":
             density *= 2
             if density > MOST_SAMPLES:
@@ -173,6 +202,7 @@ def judge(
     levels: Sequence[Level],
     modes: Sequence[int],
     accuracy: float,
+    figure: Figure | None = None,
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
@@ -180,17 +210,17 @@ def judge(
     errors are: those wait. Where more harmonics than at the level before have not halved them, the samples are looked
     at by themselves.
     """
-    error, samples = estimate_together(solution, accuracy), np.nan
+    error, samples = estimate_together(solution, accuracy, figure), np.nan
     if before is not None:
         growth = solution.orders[-1] / max(1, before.orders[-1])
         if growth > 1:
-            error = max(error, measure_distance(before, solution) / (growth**RATE - 1))
+            error = max(error, measure_distance(before, solution, figure) / (growth**RATE - 1))
         if max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
-            samples = min(estimate_samples(solution), error)
+            samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
-    error_of_modes = estimate_modes(solution, modes) if len(modes) else np.nan
-    return ErrorEstimate(error, np.nan, estimate_weight(solution), error_of_modes)
+    error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan
+    return ErrorEstimate(error, np.nan, estimate_weight(solution, figure), error_of_modes)
 
 
 def next_order(levels: Sequence[Level], accuracy: float) -> int:

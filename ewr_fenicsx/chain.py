@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx import elasticity, materials
+from ewr_fenicsx._compat import measure_compilation
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
@@ -27,24 +28,45 @@ from ewr_fenicsx.scene_sense import can_wear
 
 Laws = ContactLaws | list[tuple[list[int], ContactLaws]]
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
+JIT = "JIT"  # compilation of forms and spaces
+SHOWN = 0.01  # seconds of it that are worth a line on the way
 
 
 @dataclass
 class Stopwatch:
-    """Times named stages and tells a progress display of them."""
+    """Times named stages and tells a progress display of them; a stage within another one counts for itself alone.
+
+    What dolfinx compiles in any of them is a stage of its own, ``JIT``.
+    """
 
     progress: Progress | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    _within: tuple[float, float] = (0.0, 0.0)  # of stages inside the current one: spent, and on compilation
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         if self.progress:
             self.progress(name, None)
-        start = time.perf_counter()
+        outer, self._within = self._within, (0.0, 0.0)
+        start, before = time.perf_counter(), measure_compilation()
         yield
-        self.seconds[name] = time.perf_counter() - start
-        if self.progress:
-            self.progress(name, self.seconds[name])
+        spent, compiled = time.perf_counter() - start, measure_compilation() - before
+        inside, compiled_inside = self._within
+        self._within = outer[0] + spent, outer[1] + compiled
+        compiled_here = compiled - compiled_inside
+        own = {name: spent - inside - compiled_here} | ({JIT: compiled_here} if compiled_here else {})
+        self.seconds = add_times(self.seconds, own)
+        for stage, seconds in own.items() if self.progress else ():
+            if stage == name:
+                self.progress(stage, seconds)
+            elif seconds >= SHOWN:
+                self.progress(stage, None)
+                self.progress(stage, seconds)
+
+
+def add_times(*times: Mapping[str, float]) -> dict[str, float]:
+    """Seconds by stage, added up over several mappings."""
+    return {stage: sum(t.get(stage, 0.0) for t in times) for t in times for stage in t}
 
 
 @dataclass(frozen=True)

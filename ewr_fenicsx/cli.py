@@ -95,7 +95,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         with Stopwatch(progress).stage("write"):
             files = write_results(
                 folder,
-                chain,
+                study.chain,
                 study.solution,
                 overwrite=arguments.overwrite,
                 seconds=study.seconds,

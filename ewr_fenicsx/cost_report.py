@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from ewr_fenicsx.chain import Chain, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
@@ -13,7 +14,9 @@ from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_set
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors, match_mobility
 from ewr_fenicsx.newton import solve
+from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -24,12 +27,16 @@ TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "n
 
 @dataclass(frozen=True, eq=False)
 class CostReport:
-    """A survey of a scene: rows as of ``survey``, how far its reference can be trusted, and a few lines for people."""
+    """A survey of a scene: rows as of ``survey``, how far its reference can be trusted, and a few lines for people.
+
+    ``stages`` are the seconds of a run by stage: the chain, a solve as the scene states it, and writing its results.
+    """
 
     rows: list[dict]
     reference: str
     own_error: float
     told: str
+    stages: dict[str, float]
 
     def write(self, folder: Path) -> list[Path]:
         """Writes ``cost.json`` and ``cost.png`` into a folder."""
@@ -37,7 +44,7 @@ class CostReport:
 
         folder.mkdir(parents=True, exist_ok=True)
         files = [folder / "cost.json", folder / "cost.png"]
-        content = {"reference": self.reference, "own_error": self.own_error, "rows": self.rows}
+        content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")
         draw_work_precision(files[1], [row for row in self.rows if row["knob"] in knobs], TITLES, self.reference)
@@ -77,7 +84,20 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
             continue
         best = choose_cheapest([row for row in rows if row["knob"].startswith("N")], "output", level)
         told.append(f"  {level:>6.1%}: " + ("none of the settings tried" if best is None else _tell(best)))
-    return CostReport(rows, name, own, "\n".join(told))
+    stages = time_run(chain)
+    told.append("stages of a run: " + ", ".join(f"{stage} {t:.2f} s" for stage, t in stages.items()))
+    return CostReport(rows, name, own, "\n".join(told), stages)
+
+
+def time_run(chain: Chain) -> dict[str, float]:
+    """Seconds of a run by stage: the chain as it was built, one solve, and writing results, which are thrown away."""
+    solution = solve(pose_problem(chain.scene, chain.reduction.model, chain.interface))
+    newton = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}
+    comm = chain.mesh.domain.comm
+    with TemporaryDirectory() as own:
+        folder = Path(comm.bcast(own)) / "run"
+        write_results(folder, chain, solution, seconds=newton)
+        return on_rank_zero(comm, lambda: json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["seconds"])
 
 
 def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:

@@ -10,11 +10,14 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
 
 The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
 What the weight does is kept apart: it may cancel against the harmonics.
+
+The outputs may know little of what happens in the joint: a further ``figure`` of a solution, such as its wear, may be
+asked to be as accurate as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +35,9 @@ WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
 SURE = (0.2, 4.0)  # one step's estimate over the accuracy, outside of which no second one is needed
+
+
+Figure = Callable[[PeriodicSolution], RealArray]
 
 
 @dataclass(frozen=True)
@@ -86,11 +92,21 @@ def read_response(
     return response if problem.model.outputs else response.reshape(-1, 1)
 
 
-def measure_distance(solution: PeriodicSolution, other: PeriodicSolution) -> float:
-    """Relative distance of the outputs' oscillations of two solutions on the same model; phase counts."""
+def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure: Figure | None = None) -> float:
+    """Relative distance of the outputs' oscillations of two solutions with the same outputs; phase counts.
+
+    Args:
+        solution, other: Of problems with the same frequency, pairs and outputs.
+        figure: What is to be compared as well, by the largest difference over the largest value.
+    """
     orders = sorted({*solution.orders, *other.orders})
     here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
-    return compare_responses(here, there)
+    distance = compare_responses(here, there)
+    if figure is None:
+        return distance
+    here, there = figure(solution), figure(other)
+    largest = np.abs(there).max(initial=0.0)
+    return max(distance, float(np.abs(here - there).max(initial=0.0) / largest) if largest else 0.0)
 
 
 def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSolution | None:
@@ -117,20 +133,23 @@ def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSo
     )
 
 
-def step_towards(solution: PeriodicSolution, problem: ContactProblem) -> float:
+def step_towards(solution: PeriodicSolution, problem: ContactProblem, figure: Figure | None = None) -> float:
     """How far one Newton step on a neighbouring problem moves the outputs of a solution, relative.
 
-    Infinity where the step cannot be solved for.
+    Args:
+        solution: Converged.
+        problem: The same joint with other harmonics, samples or weights.
+        figure: As in ``measure_distance``.
+
+    Returns:
+        Infinity where the step cannot be solved for.
     """
-    return measure_step(solution, take_step(solution, problem))
+    return measure_step(solution, take_step(solution, problem), figure)
 
 
-def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None) -> float:
-    """How far a step of ``take_step`` moved the outputs, relative, at the harmonics that it has."""
-    if moved is None:
-        return np.inf
-    here, there = (read_response(s.problem, s.forces, s.rigid, moved.orders) for s in (moved, solution))
-    return compare_responses(here, there)
+def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None, figure: Figure | None = None) -> float:
+    """How far ``take_step`` moved the outputs of a solution, and a figure, relative; infinity where it could not."""
+    return np.inf if moved is None else measure_distance(moved, solution, figure)
 
 
 def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:
@@ -148,9 +167,9 @@ def choose_samples(highest: int, density: float) -> int:
     return 2 * int(np.ceil(max(LEAST_SAMPLES, density * highest) / 2))
 
 
-def estimate_harmonics(solution: PeriodicSolution) -> float:
+def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None) -> float:
     """Error by the harmonics left out: one Newton step with half as many again."""
-    return step_towards(solution, raise_harmonics(solution.problem))
+    return step_towards(solution, raise_harmonics(solution.problem), figure)
 
 
 def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
@@ -159,34 +178,34 @@ def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
     return take_step(solution, replace(raised, samples=2 * raised.basis.samples))
 
 
-def estimate_together(solution: PeriodicSolution, accuracy: float) -> float:
+def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
     One Newton step tells where it is far from the accuracy. Where it is near, a second one on the same problem follows:
     it is mostly closer to the true error, and half of what it changed is added for what further steps would.
     """
     ahead = look_ahead(solution)
-    first = measure_step(solution, ahead)
+    first = measure_step(solution, ahead, figure)
     low, high = SURE
     if not low * accuracy < first < high * accuracy:
         return first
-    second = measure_step(solution, take_step(ahead, ahead.problem))
+    second = measure_step(solution, take_step(ahead, ahead.problem), figure)
     return second + abs(second - first) / 2
 
 
-def estimate_samples(solution: PeriodicSolution) -> float:
+def estimate_samples(solution: PeriodicSolution, figure: Figure | None = None) -> float:
     """Error by the sampling of the laws: one Newton step with twice the samples."""
     problem = solution.problem
-    return step_towards(solution, replace(problem, samples=2 * problem.basis.samples))
+    return step_towards(solution, replace(problem, samples=2 * problem.basis.samples), figure)
 
 
-def estimate_weight(solution: PeriodicSolution) -> float:
+def estimate_weight(solution: PeriodicSolution, figure: Figure | None = None) -> float:
     """What another weight of the friction law would change: one Newton step with ``rho_T`` doubled."""
     problem = solution.problem
     weight = read_friction_weight(problem)
     if weight is None:
         return 0.0
-    return step_towards(solution, replace(problem, rho_tangential=WEIGHT_CHANGE * weight))
+    return step_towards(solution, replace(problem, rho_tangential=WEIGHT_CHANGE * weight), figure)
 
 
 def read_friction_weight(problem: ContactProblem) -> RealArray | None:
@@ -198,9 +217,21 @@ def read_friction_weight(problem: ContactProblem) -> RealArray | None:
     return weight if found else None
 
 
-def estimate_errors(solution: PeriodicSolution) -> ErrorEstimate:
-    """All that a solution by itself says of its errors: three Newton steps, the first with more harmonics."""
-    return ErrorEstimate(estimate_harmonics(solution), estimate_samples(solution), estimate_weight(solution))
+def estimate_errors(
+    solution: PeriodicSolution, modes: Sequence[int] = (), figure: Figure | None = None
+) -> ErrorEstimate:
+    """All that a solution by itself says of its errors: Newton steps, the first with more harmonics.
+
+    Args:
+        solution: Converged.
+        modes: As in ``estimate_modes``; none: they are not looked at.
+        figure: As in ``measure_distance``.
+    """
+    causes = (estimate_harmonics, estimate_samples, estimate_weight)
+    return ErrorEstimate(
+        *(estimate(solution, figure) for estimate in causes),
+        estimate_modes(solution, modes, figure) if len(modes) else np.nan,
+    )
 
 
 def match_mobility(problem: ContactProblem) -> RealArray | None:
@@ -239,19 +270,20 @@ def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:
     )
 
 
-def estimate_modes(solution: PeriodicSolution, modes: Sequence[int]) -> float:
+def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Figure | None = None) -> float:
     """Error by the modes left out: one Newton step with a third of those kept left out as well, the highest.
 
     Args:
         solution: Converged.
         modes: Which coordinates of the model are modal, by rising frequency.
+        figure: As in ``measure_distance``.
     """
     problem = solution.problem
     count = max(1, round(MODES_DROPPED * len(modes)))
     fewer = list(modes)[-count:]
     model = drop_modes(problem.model, fewer)
     load = None if problem.load is None else {h: np.delete(f, fewer) for h, f in problem.load.items()}
-    return step_towards(solution, replace(problem, model=model, load=load))
+    return step_towards(solution, replace(problem, model=model, load=load), figure)
 
 
 def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...]:

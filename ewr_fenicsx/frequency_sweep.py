@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
+from ewr_fenicsx.accuracy import AccurateSolution
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
@@ -25,10 +26,13 @@ from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
     fingerprint,
+    gather_output,
+    list_orders,
     read_records,
     replace_file,
     restore,
@@ -39,7 +43,7 @@ from ewr_fenicsx.solution_store import (
 from ewr_fenicsx.task_sharing import share_tasks
 
 BLOCK = 6  # given frequencies a block
-_FORMAT = "ewr_fenicsx frequency response, 1"
+_FORMAT = "ewr_fenicsx frequency response, 2"
 
 Laws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
 
@@ -52,24 +56,31 @@ class FrequencyResponse:
         solutions: In the order of the curve: where it folds, frequencies run back for a while.
         jumps: Where the curve is broken because no branch led on; empty as a rule.
         missing: Given frequencies without a solution [Hz]; empty as a rule.
+        accurate: Where an accuracy was asked for: the solutions with their estimated errors, and how they came about.
     """
 
     solutions: tuple[PeriodicSolution, ...]
     jumps: tuple[Jump, ...]
     missing: tuple[float, ...]
+    accurate: tuple[AccurateSolution, ...] = ()
 
     @cached_property
     def frequencies(self) -> RealArray:
         """``(n,)`` [Hz]."""
         return np.array([s.problem.frequency for s in self.solutions])
 
+    @cached_property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics that any of the solutions has, ``n_h`` of them."""
+        return list_orders(self.solutions)
+
     def output(self, name: str) -> ComplexArray:
-        """One-sided complex amplitudes ``(n, n_h)`` of a named output.
+        """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
 
         Raises:
             ModelError: The model has no such output.
         """
-        return np.array([s.output(name) for s in self.solutions])
+        return gather_output(self.solutions, name, self.orders)
 
     def figure(self, name: str) -> RealArray:
         """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
@@ -86,12 +97,15 @@ class FrequencyResponse:
         """Column -> ``(n,)``: frequency, amplitude of every output's harmonics, figures of merit, Newton steps."""
         columns = {"frequency [Hz]": self.frequencies}
         for name in self.solutions[0].problem.model.outputs if self.solutions else ():
-            for h, amplitude in zip(self.solutions[0].orders, self.output(name).T, strict=True):
+            for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
                 columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
         if self.solutions:
             columns |= {name: self.figure(name) for name in self.solutions[0].merit}
         columns["Newton steps"] = np.array([s.iterations for s in self.solutions])
         columns["residual"] = np.array([s.residual for s in self.solutions])
+        if self.accurate:
+            columns["estimate"] = np.array([found.estimate.total for found in self.accurate])
+            columns["highest_harmonic"] = np.array([s.orders[-1] for s in self.solutions])
         return columns
 
     def write_csv(self, path: str | Path) -> None:
@@ -127,6 +141,8 @@ def frequency_response(
     *,
     refine: float | None = None,
     tolerance: float = 1e-8,
+    accuracy: float | None = None,
+    modes: Sequence[int] = (),
     folder: str | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     **settings: object,
@@ -142,6 +158,9 @@ def frequency_response(
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
             points are inserted between the given ones until it holds. None: none are.
         tolerance: As in ``solve``.
+        accuracy: As in ``solve_to_accuracy``, of every solution. The curve is followed with ``harmonics``, then each of
+            its points is solved again with as many as it takes. None: ``harmonics`` are what is used.
+        modes: As in ``solve_to_accuracy``.
         folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as they are finished. A
             run that was interrupted goes on from the blocks that it finds. None: nothing is written.
         comm: Ranks that share the work.
@@ -170,7 +189,7 @@ def frequency_response(
     blocks = [_Block(label, n, piece) for label in family for n, piece in enumerate(pieces)]
     store = None
     if folder is not None:
-        stated = fingerprint(common, family, targets, refine, tolerance)
+        stated = fingerprint(_FORMAT, common, family, targets, refine, tolerance)
         store = _BlockStore(Path(folder) / "blocks", stated, list(family))
 
     def work(block: _Block) -> tuple[list[Record], list[Jump]]:
@@ -187,10 +206,43 @@ def frequency_response(
         found = {s.problem.frequency for s in curve.points}
         missing = tuple(f for f in targets if f not in found)
         curves[label] = FrequencyResponse(tuple(curve.points), tuple(curve.jumps), missing)
+        if accuracy is not None:
+            posed = follower.problem_at(targets[0])
+            curves[label] = refine_response(
+                curves[label], posed, targets, accuracy, tolerance, modes=modes, comm=comm, progress=progress
+            )
     if folder is not None and comm.rank == 0:
         _write_results(Path(folder), curves)
     comm.Barrier()
     return curves if isinstance(laws, Mapping) else curves[None]
+
+
+def refine_response(
+    curve: FrequencyResponse,
+    problem: ContactProblem,
+    frequencies: Sequence[float],
+    accuracy: float,
+    tolerance: float = 1e-8,
+    *,
+    modes: Sequence[int] = (),
+    comm: MPI.Comm = MPI.COMM_SELF,
+    progress: bool = False,
+) -> FrequencyResponse:
+    """A curve whose every solution is as accurate as asked; collective. What could not be reached, ``accurate`` says.
+
+    Args:
+        curve: Solutions from which to start.
+        problem: What they solve, at any frequency; its model may have more modes than theirs.
+        frequencies: Where a solution is wanted [Hz]. Others, of a fold, are left out where they fell off their branch.
+        accuracy, tolerance, modes: As in ``solve_to_accuracy``.
+        comm, progress: As in ``frequency_response``.
+
+    Raises:
+        ModelError: The accuracy is not between 0 and 1.
+    """
+    found = refine_points(problem, curve.solutions, accuracy, tolerance, modes=modes, comm=comm, progress=progress)
+    found, jumps = join_points(curve.solutions, found, frequencies, tolerance)
+    return FrequencyResponse(tuple(f.solution for f in found), (*curve.jumps, *jumps), curve.missing, tuple(found))
 
 
 def _solve_block(follower: Follower, block: _Block, store: _BlockStore | None) -> tuple[list[Record], list[Jump]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,13 @@ class Modes:
 
 
 def solve_modes(
-    stiffness: PETSc.Mat, mass: PETSc.Mat, count: int, *, shift: float = 0.0, tolerance: float = 1e-9
+    stiffness: PETSc.Mat,
+    mass: PETSc.Mat,
+    count: int,
+    *,
+    shift: float = 0.0,
+    tolerance: float = 1e-9,
+    known: Sequence[PETSc.Vec] = (),
 ) -> Modes:
     """The modes with eigenvalues nearest to a shift, by shift-invert Krylov-Schur.
 
@@ -41,20 +48,27 @@ def solve_modes(
         count: How many.
         shift: Eigenvalue [rad^2/s^2] near which to look; a singular stiffness needs one below zero.
         tolerance: Largest accepted relative residual, unless rounding in ``K phi`` alone is larger.
+        known: Modes that are not looked for again.
 
     Raises:
         ModesError: Fewer modes than asked for, a residual above the tolerance, or a singular stiffness with no shift.
     """
     size = stiffness.getSize()[0]
-    if not 0 < count <= size:
-        raise ModesError(f"{count} modes asked for; the matrices have {size} degrees of freedom, give 1 to {size}")
+    if not 0 < count <= size - len(known):
+        besides = f" besides {len(known)}" if known else ""
+        raise ModesError(
+            f"{count} modes asked for{besides}; the matrices have {size} degrees of freedom, "
+            f"give 1 to {size - len(known)}"
+        )
     solver = SLEPc.EPS().create(stiffness.comm)
     solver.setOperators(stiffness, mass)
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     solver.setTarget(shift)
     solver.setTolerances(1e-2 * tolerance, 300)
-    solver.setDimensions(count, min(size, max(2 * count, count + 20)))
+    solver.setDimensions(count, min(size - len(known), max(2 * count, count + 20)))
+    if known:
+        solver.setDeflationSpace(list(known))
     transform = solver.getST()
     transform.setType(SLEPc.ST.Type.SINVERT)
     use_mumps(transform.getKSP())

@@ -10,7 +10,8 @@ Source: Craig & Bampton (1968), doi:10.2514/3.4741.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import dolfinx
 import numpy as np
@@ -56,6 +57,12 @@ class CraigBampton:
         first = len(self.contact_dofs)
         return range(first, first + len(self.fixed_interface_frequencies))
 
+    @property
+    def most_modes(self) -> int:
+        """How many fixed-interface modes there are; collective."""
+        clamped = self.structure.mass.comm.tompi4py().allreduce(len(self.structure.fixed_dofs))
+        return self.structure.mass.getSize()[0] - clamped - len(self.contact_dofs)
+
     def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
         """The displacement field [m] of real reduced coordinates ``(n,)``."""
         field = dolfinx.fem.Function(self.structure.space)
@@ -78,37 +85,98 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
         ModesError: Modes that did not converge; a rigid motion of a body that is not free of elastic forces.
     """
     comm = structure.mass.comm.tompi4py()
-    first, last = structure.mass.getOwnershipRange()
+    first = structure.mass.getOwnershipRange()[0]
     fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
     contact = _contact_dofs(interface, fixed)
-    owned_contact = np.sort(contact[(contact >= first) & (contact < last)])
-    owned_interior = np.setdiff1d(np.arange(first, last), np.concatenate([owned_contact, structure.fixed_dofs]))
-    interior, boundary = (
-        PETSc.IS().createGeneral(dofs.astype(np.int32), comm=structure.mass.comm)
-        for dofs in (owned_interior, owned_contact)
-    )
-    stiffness, mass = (matrix.createSubMatrix(interior, interior) for matrix in (structure.stiffness, structure.mass))
-
-    dense = structure.stiffness.createSubMatrix(interior, boundary).convert("dense")
+    interior = _cut_interior(structure, contact)
+    boundary = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
+    rows = PETSc.IS().createGeneral(interior.dofs.astype(np.int32), comm=structure.mass.comm)
+    dense = structure.stiffness.createSubMatrix(rows, boundary).convert("dense")
     coupling = dense.getDenseArray()  # a view: valid while the matrix lives
-    column = {int(dof): k for k, dof in enumerate(np.concatenate(comm.allgather(owned_contact)))}
+    column = {int(dof): k for k, dof in enumerate(np.concatenate(comm.allgather(interior.boundary)))}
     coupling = coupling[:, [column[int(dof)] for dof in contact]]
-    forces = [load.vector.array[owned_interior - first] for load in structure.loads]
-    responses = _solve_statics(stiffness, np.column_stack([-coupling, *forces]))
-    fixed_interface = solve_modes(stiffness, mass, modes)
-    shapes = np.column_stack([vector.array for vector in fixed_interface.vectors])
-    residual = _residual_vectors(responses[:, len(contact) :], shapes, mass)
+    forces = [load.vector.array[interior.dofs - first] for load in structure.loads]
+    responses = _solve_statics(interior.stiffness, np.column_stack([-coupling, *forces]))
+    found = solve_modes(interior.stiffness, interior.mass, modes)
+    shapes = np.column_stack([vector.array for vector in found.vectors])
+    basis = _compose_basis(structure, interior, contact, np.split(responses, [len(contact)], axis=1), shapes)
+    model = _project(structure, interface, basis, contact)
+    full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
+    return CraigBampton(model, basis, interface, found.frequency, full_stick, contact, structure)
 
-    count = len(contact) + shapes.shape[1] + residual.shape[1]
-    basis = np.zeros((last - first, count))
-    basis[owned_interior - first] = np.column_stack([responses[:, : len(contact)], shapes, residual])
+
+def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
+    """The reduction with more fixed-interface modes; those that it has, and its static responses, are kept.
+
+    Args:
+        reduction: What there is.
+        modes: Number of modes of the result, more than there are and at most ``reduction.most_modes``.
+
+    Raises:
+        ModesError: So many modes there are not, or they did not converge.
+    """
+    structure, contact = reduction.structure, reduction.contact_dofs
+    known = reduction.modal_coordinates
+    if not len(known) < modes <= reduction.most_modes:
+        raise ModesError(f"{modes} modes asked for; give more than the {len(known)} there are, at most "
+                         f"{reduction.most_modes}, as many as the interior has degrees of freedom")  # fmt: skip
+    interior = _cut_interior(structure, contact)
+    here = reduction.basis[interior.dofs - structure.mass.getOwnershipRange()[0]]
+    static, shapes, loads = np.split(here, [known.start, known.stop], axis=1)
+    vectors = []
+    for shape in shapes.T:
+        vectors.append(interior.mass.createVecRight())
+        vectors[-1].array[:] = shape
+    found = solve_modes(interior.stiffness, interior.mass, modes - len(known), known=vectors)
+    frequencies = np.concatenate([reduction.fixed_interface_frequencies, found.frequency])
+    rising = np.argsort(frequencies, kind="stable")
+    shapes = np.column_stack([shapes, *(vector.array for vector in found.vectors)])[:, rising]
+    # what the load responses had outside the modes there were is all that can lie outside more of them
+    basis = _compose_basis(structure, interior, contact, (static, loads), shapes)
+    model = _project(structure, reduction.interface, basis, contact)
+    return replace(reduction, model=model, basis=basis, fixed_interface_frequencies=frequencies[rising])
+
+
+@dataclass(frozen=True)
+class _Interior:
+    """What is neither clamped nor in contact: this rank's rows, those of its contact dofs, and sparse matrices."""
+
+    dofs: np.ndarray
+    boundary: np.ndarray
+    stiffness: PETSc.Mat
+    mass: PETSc.Mat
+
+
+def _cut_interior(structure: Structure, contact: np.ndarray) -> _Interior:
+    first, last = structure.mass.getOwnershipRange()
+    boundary = np.sort(contact[(contact >= first) & (contact < last)])
+    dofs = np.setdiff1d(np.arange(first, last), np.concatenate([boundary, structure.fixed_dofs]))
+    rows = PETSc.IS().createGeneral(dofs.astype(np.int32), comm=structure.mass.comm)
+    matrices = (matrix.createSubMatrix(rows, rows) for matrix in (structure.stiffness, structure.mass))
+    return _Interior(dofs, boundary, *matrices)
+
+
+def _compose_basis(
+    structure: Structure, interior: _Interior, contact: np.ndarray, static: Sequence[np.ndarray], shapes: np.ndarray
+) -> np.ndarray:
+    """Columns of the basis: constraint modes, fixed-interface modes, and what load responses have outside of these.
+
+    Args:
+        structure: What is reduced.
+        interior: Its interior.
+        contact: Numbers of the contact degrees of freedom.
+        static: Constraint modes ``(rows, n_c)`` and responses to loads ``(rows, l)`` in the interior.
+        shapes: Fixed-interface modes ``(rows, m)``, mass-orthonormal.
+    """
+    first, last = structure.mass.getOwnershipRange()
+    columns = np.column_stack([static[0], shapes, _residual_vectors(static[1], shapes, interior.mass)])
+    basis = np.zeros((last - first, columns.shape[1]))
+    basis[interior.dofs - first] = columns
     for k, dof in enumerate(contact):
         if first <= dof < last:
             basis[dof - first, k] = 1.0
     _fix_signs(basis, len(contact), structure.mass)
-    model = _project(structure, interface, basis, contact)
-    full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
-    return CraigBampton(model, basis, interface, fixed_interface.frequency, full_stick, contact, structure)
+    return basis
 
 
 def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:

@@ -150,7 +150,9 @@ class Output(Section):
 class Reduction(Section):
     """Component mode synthesis."""
 
-    modes: Integer = entry(30, "-", "Fixed-interface modes kept.", ge=1)
+    modes: Integer = entry(
+        30, "-", "Fixed-interface modes kept; where an accuracy is asked for, to begin with: they are raised.", ge=1
+    )
 
 
 class FrequencyRange(Section):
@@ -198,7 +200,7 @@ class Wear(Section):
     tolerance: Number | None = entry(
         None,
         "-",
-        "Largest error of a cycle jump as a share of the final depth; by default every cycle is solved.",
+        "Largest error of a cycle jump as a share of the final depth; by default the accuracy, or every cycle.",
         gt=0,
     )
 
@@ -209,7 +211,8 @@ class Solver(Section):
     accuracy: Number | None = entry(
         None,
         "-",
-        "Largest relative error of the outputs' oscillation; the solver then chooses harmonics, samples and weights.",
+        "Largest relative error of the outputs' oscillation, at every frequency of a sweep, and of the wear rate; "
+        "harmonics, samples, weights and modes are then chosen.",
         gt=0,
         lt=1,
     )

@@ -96,12 +96,6 @@ def _check_accuracy(scene: Scene) -> Iterator[str]:
     for key in ("harmonics", "samples"):
         if key in scene.solver.model_fields_set and getattr(scene.solver, key) is not None:
             yield f"solver: accuracy = {asked:g} chooses {key} itself; give one of the two"
-    if len(scene.frequencies) > 1 or scene.wear:
-        study = "a sweep" if len(scene.frequencies) > 1 else "wear"
-        yield (
-            f"solver.accuracy = {asked:g} is for a single periodic solution, and this scene asks for {study}; run it "
-            "at one frequency without wear, where the response is strongest, and give the harmonics that it chose"
-        )
 
 
 def _check_excitation(scene: Scene) -> Iterator[str]:

@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -22,14 +22,18 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
 _NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
-_TEXTS = ("reason", "fallbacks")
+_TEXTS = ("reason", "fallbacks", "harmonics", "samples", "rho_tangential")
+_CHOSEN = ("harmonics", "samples", "rho_tangential")  # what an accuracy chooses of a problem, solution by solution
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A ``PeriodicSolution`` without its problem; attributes as there."""
+    """A ``PeriodicSolution`` without its problem, but for what an accuracy chooses of it; attributes as there."""
 
     frequency: float
+    harmonics: int | tuple[int, ...]
+    samples: int | None
+    rho_tangential: float | tuple[float, ...] | None
     forces: ComplexArray
     rigid: RealArray
     converged: bool
@@ -43,19 +47,58 @@ class Record:
 
 def strip(solution: PeriodicSolution) -> Record:
     """What must be kept of a solution to have it back with ``restore``."""
-    kept = {f.name: getattr(solution, f.name) for f in fields(Record) if f.name != "frequency"}
-    return Record(frequency=solution.problem.frequency, **kept)
+    problem = solution.problem
+    stated = {name: _as_numbers(getattr(problem, name)) for name in _CHOSEN}
+    kept = {f.name: getattr(solution, f.name) for f in fields(Record) if f.name not in ("frequency", *_CHOSEN)}
+    return Record(frequency=problem.frequency, **stated, **kept)
 
 
 def restore(problem: ContactProblem, record: Record) -> PeriodicSolution:
-    """The solution of ``problem`` that ``strip`` took apart."""
-    return PeriodicSolution(problem, **{f.name: getattr(record, f.name) for f in fields(Record)[1:]})
+    """The solution that ``strip`` took apart, of ``problem`` with the harmonics, samples and weights that it had."""
+    stated = {name: getattr(record, name) for name in _CHOSEN}
+    if any(_as_numbers(getattr(problem, name)) != value for name, value in stated.items()):
+        weight = stated["rho_tangential"]
+        stated["rho_tangential"] = np.array(weight) if isinstance(weight, tuple) else weight
+        problem = replace(problem, **stated)
+    kept = {f.name: getattr(record, f.name) for f in fields(Record) if f.name not in ("frequency", *_CHOSEN)}
+    return PeriodicSolution(problem, **kept)
+
+
+def _as_numbers(value: object) -> float | tuple | None:
+    """A number or an array as what can be compared, and written as text to the last digit."""
+    return value if value is None else _freeze(np.asarray(value).tolist())
+
+
+def _freeze(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def list_orders(solutions: Sequence[PeriodicSolution]) -> tuple[int, ...]:
+    """Harmonics that any of the solutions has."""
+    return tuple(sorted({h for s in solutions for h in s.orders}))
+
+
+def gather_output(solutions: Sequence[PeriodicSolution], name: str, orders: tuple[int, ...]) -> ComplexArray:
+    """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
+
+    Raises:
+        ModelError: The model has no such output.
+    """
+    amplitudes = np.zeros((len(solutions), len(orders)), dtype=complex)
+    for i, s in enumerate(solutions):
+        amplitudes[i, np.searchsorted(orders, s.orders)] = s.output(name)
+    return amplitudes
 
 
 def write_records(group: h5py.Group, records: Sequence[Record]) -> None:
-    """Write records of one model, laws and harmonics to an HDF5 group: one array for each attribute."""
+    """Write records of one model and laws to an HDF5 group: one array for each attribute.
+
+    Forces are ``(n, n_h, m)``, rows by the harmonics of each record; where it has fewer than others, the last are zero.
+    """
     group["frequency"] = np.array([r.frequency for r in records])
-    for name in ("forces", "rigid", *_NUMBERS):
+    most = max((len(r.forces) for r in records), default=0)
+    group["forces"] = np.array([np.pad(r.forces, ((0, most - len(r.forces)), (0, 0))) for r in records])
+    for name in ("rigid", *_NUMBERS):
         group[name] = np.array([getattr(r, name) for r in records])
     for name in _TEXTS:
         group[name] = [json.dumps(getattr(r, name)) for r in records]
@@ -65,10 +108,14 @@ def read_records(group: h5py.Group) -> list[Record]:
     """Read what ``write_records`` wrote."""
     arrays = {name: group[name][()] for name in ("frequency", "forces", "rigid", *_NUMBERS)}
     texts = {name: [json.loads(text) for text in group[name][()]] for name in _TEXTS}
+    harmonics = [_freeze(h) for h in texts["harmonics"]]
     return [
         Record(
             frequency=float(arrays["frequency"][i]),
-            forces=arrays["forces"][i],
+            harmonics=harmonics[i],
+            samples=texts["samples"][i],
+            rho_tangential=_freeze(texts["rho_tangential"][i]),
+            forces=arrays["forces"][i, : harmonics[i] + 1 if isinstance(harmonics[i], int) else len(harmonics[i])],
             rigid=arrays["rigid"][i],
             converged=bool(arrays["converged"][i]),
             reason=texts["reason"][i],

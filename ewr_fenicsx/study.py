@@ -6,16 +6,24 @@ Sweeps and wear are imported where a scene asks for them, and nowhere else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.reduction import keep_more_modes
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import find_idle_harmonics
+
+if TYPE_CHECKING:
+    from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,7 @@ class Study:
     """A scene solved.
 
     Attributes:
+        chain: What it was solved on: the chain that was given, or one with as many modes as an accuracy took.
         solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
         seconds: Time of each stage.
         curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
@@ -30,6 +39,7 @@ class Study:
         write: Writes the study's own files into a folder; collective.
     """
 
+    chain: Chain
     solution: PeriodicSolution
     seconds: Mapping[str, float]
     curve: tuple[RealArray, RealArray] | None
@@ -54,26 +64,60 @@ def run_study(chain: Chain, progress: Progress | None = None) -> Study:
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    return Study(solution, watch.seconds, None, solution.summary(), lambda folder: None)
+    return Study(chain, solution, watch.seconds, None, solution.summary(), lambda folder: None)
+
+
+class _Modes:
+    """A chain whose reduction is made anew, with more modes, as an accuracy takes them; collective."""
+
+    def __init__(self, chain: Chain, watch: Stopwatch):
+        self.chain, self.watch = chain, watch
+        self.chains = [chain]
+
+    def chain_of(self, solution: PeriodicSolution) -> Chain:
+        """The chain on whose model a solution is: not the last one, where more modes led to none."""
+        return next(chain for chain in self.chains if chain.reduction.model is solution.problem.model)
+
+    @property
+    def coordinates(self) -> range:
+        """Which coordinates of the model are modal."""
+        return self.chain.reduction.modal_coordinates
+
+    @property
+    def most(self) -> int:
+        """How many modes may be kept; those that the scene states in any case."""
+        return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
+
+    def keep_more(self, count: int) -> tuple[ContactProblem, range]:
+        """The scene's problem on a model with so many modes, and which of its coordinates are modal."""
+        with self.watch.stage("more modes"):
+            self.chain = replace(self.chain, reduction=keep_more_modes(self.chain.reduction, count))
+        chain = self.chain
+        self.chains.append(chain)
+        return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
+
+    @property
+    def choice(self) -> dict[str, object]:
+        """What ``solve_to_accuracy`` has to know of them."""
+        return {"modes": self.coordinates, "more_modes": self.keep_more, "most_modes": self.most}
 
 
 def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) -> Study:
-    from ewr_fenicsx.accuracy import solve_to_accuracy
-
-    asked = chain.scene.solver
+    modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
-        found = solve_to_accuracy(
-            problem, asked.accuracy, tolerance=asked.tolerance, modes=chain.reduction.modal_coordinates
-        )
-    return Study(found.solution, watch.seconds, None, found.summary(), lambda folder: None)
+        found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
+    return Study(
+        modes.chain_of(found.solution), found.solution, watch.seconds, None, found.summary(), lambda folder: None
+    )
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     from ewr_fenicsx.frequency_sweep import frequency_response
 
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
-    idle = find_idle_harmonics(pose_problem(scene, model, chain.interface))
-    kept = tuple(h for h in scene.harmonics if h not in idle.orders)
+    problem = pose_problem(scene, model, chain.interface)
+    idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
+    kept = tuple(h for h in problem.basis.orders if h not in idle.orders)
     settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
     with watch.stage("sweep"):
         curve = frequency_response(
@@ -85,6 +129,8 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
             comm=comm,
             **settings,
         )
+        if accuracy is not None and curve.solutions:
+            chain, curve = _refine(chain, watch, curve)
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
@@ -102,27 +148,73 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
 
     told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
     told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
+    told += _tell_accuracy(curve, accuracy) if curve.accurate else []
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
-    return Study(strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+    return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+
+
+def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
+    """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
+    from ewr_fenicsx.frequency_sweep import refine_response
+
+    asked, modes = chain.scene.solver, _Modes(chain, watch)
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    shown = watch.progress is not None
+    while True:
+        curve = refine_response(
+            curve,
+            problem,
+            chain.scene.frequencies,
+            asked.accuracy,
+            asked.tolerance,
+            modes=modes.coordinates,
+            comm=chain.mesh.domain.comm,
+            progress=shown,
+        )
+        wanting = any(not found.reached and found.estimate.dominating == "modes" for found in curve.accurate)
+        count = min(MODES_GROWTH * len(modes.coordinates), modes.most)
+        if not wanting or count == len(modes.coordinates):
+            return modes.chain, curve
+        problem, _ = modes.keep_more(count)
+
+
+def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
+    """How accurate the solutions of a curve are thought to be, and why some are not as accurate as asked."""
+    worst = max(found.estimate.total for found in curve.accurate)
+    tops = [s.orders[-1] for s in curve.solutions]
+    solves = sum(len(found.levels) for found in curve.accurate)
+    lines = [
+        f"  estimated errors up to {worst:.1g} of {accuracy:g} asked, highest harmonics {min(tops)} to {max(tops)}, "
+        f"{solves} solves besides those of the curve"
+    ]
+    for found in curve.accurate:
+        if not found.reached:
+            frequency = found.solution.problem.frequency
+            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {found.estimate.total:.1g}; {found.limit}")
+    return lines
 
 
 def _wear(chain: Chain, watch: Stopwatch) -> Study:
     from ewr_fenicsx.wear import Tolerance, evolve_wear
 
     scene, interface = chain.scene, chain.interface
-    asked = scene.wear
+    asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
+    share = accuracy if asked.tolerance is None else asked.tolerance
     with watch.stage("wear"):
         history = evolve_wear(
             pose_problem(scene, chain.reduction.model, interface),
             asked.cycles,
             spread_wear(scene, interface),
-            None if asked.tolerance is None else Tolerance(share=asked.tolerance, damped=True),
+            None if share is None else Tolerance(share=share, damped=True),
             keep_every=max(1, asked.cycles // 100),
             tolerance=scene.solver.tolerance,
+            accuracy=accuracy,
             progress=watch.progress is not None,
+            **({} if accuracy is None else modes.choice),
         )
+    chain = modes.chain_of(history.solutions[-1])
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
@@ -142,7 +234,15 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
         f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
         f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
     ]
+    if accuracy is not None:
+        tops = [s.orders[-1] for s in history.solutions]
+        told.append(
+            f"  estimated errors up to {np.nanmax(history.estimates):.1g} of {accuracy:g} asked, highest harmonics "
+            f"{min(tops)} to {max(tops)}, {len(chain.reduction.modal_coordinates)} modes"
+        )
+        short = history.cycles[history.estimates > accuracy]
+        told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
     told += [f"  stopped {history.stopped}"] if history.stopped else []
     last = history.solutions[-1]
     course = history.cycles, history.depth.mean(axis=1)
-    return Study(last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)
+    return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)

@@ -27,7 +27,8 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import fingerprint, write_table
+from ewr_fenicsx.solution_store import fingerprint, gather_output, list_orders, write_table
+from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearFile, WearState, WearStep
 
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
@@ -75,6 +76,7 @@ class WearHistory:
         steps: What was kept: cycle, worn depth, depth worn by the next cycle, solution.
         solves: Periodic solves that it took.
         stopped: Why wear was not followed to the last cycle; None where it was.
+        accuracy: What was asked for of the solutions; None: harmonics and samples were given.
     """
 
     problem: ContactProblem
@@ -82,6 +84,7 @@ class WearHistory:
     steps: tuple[WearStep, ...]
     solves: int
     stopped: str | None
+    accuracy: float | None = None
 
     @cached_property
     def cycles(self) -> np.ndarray:
@@ -118,9 +121,19 @@ class WearHistory:
         """The periodic solution at every step."""
         return tuple(step.solution for step in self.steps)
 
+    @property
+    def estimates(self) -> RealArray:
+        """``(steps,)`` estimated errors of the solutions; NaN without an accuracy."""
+        return np.array([step.estimate for step in self.steps])
+
+    @cached_property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics that any of the solutions has, ``n_h`` of them."""
+        return list_orders(self.solutions)
+
     def output(self, name: str) -> ComplexArray:
-        """One-sided complex amplitudes ``(steps, n_h)`` of a named output of the model."""
-        return np.array([s.output(name) for s in self.solutions])
+        """One-sided complex amplitudes ``(steps, n_h)`` of a named output of the model at ``orders``."""
+        return gather_output(self.solutions, name, self.orders)
 
     def figure(self, name: str) -> RealArray:
         """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``."""
@@ -135,7 +148,11 @@ class WearHistory:
             "volume [m^3]": self.total_volume,
         }
         figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]
-        return columns | {name: self.figure(name) for name in figures}
+        columns |= {name: self.figure(name) for name in figures}
+        if self.accuracy is not None:
+            columns["estimate"] = self.estimates
+            columns["highest_harmonic"] = np.array([s.orders[-1] for s in self.solutions])
+        return columns
 
     def write_csv(self, path: str | Path) -> None:
         """Write ``table`` as CSV, a row a step."""
@@ -153,7 +170,9 @@ def evolve_wear(
     file: str | Path | None = None,
     checkpoint_every: int = 100,
     tolerance: float = 1e-8,
+    accuracy: float | None = None,
     progress: bool = False,
+    **choice: object,
 ) -> WearHistory:
     """Wear of a joint over many vibration cycles.
 
@@ -168,10 +187,13 @@ def evolve_wear(
             often and wherever it was killed, leaves the same file, byte for byte. None: nothing is written.
         checkpoint_every: Solves between two updates of ``file``, which is also written on an interruption.
         tolerance: As in ``solve``.
+        accuracy: As in ``solve_to_accuracy``: harmonics, samples and weights are chosen for the unworn joint, looked at
+            again at every step that is kept, and raised where they no longer do. None: those of the problem.
         progress: Whether to show how many cycles are done and how long the rest will take.
+        choice: Further arguments of ``solve_to_accuracy``, where an accuracy is asked for.
 
     Raises:
-        ModelError: No pair can wear, or a number makes no sense.
+        ModelError: No pair can wear, or a number makes no sense; or more modes in a run that is to be resumed.
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
         OutputError: ``file`` holds another run.
     """
@@ -192,10 +214,19 @@ def evolve_wear(
         raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
     store = None
     if file is not None:
-        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance)
+        if choice.get("more_modes"):
+            raise ModelError(
+                "file: a resumed run would not know of more_modes; raise the modes before, or give no file"
+            )
+        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, choice)
         store = WearFile(Path(file), stated, problem)
     state = store.read() if store else None
-    run = _Run(problem, cycles, rates, jump, keep_every, deepest, tolerance)
+    if choice and accuracy is None:
+        raise ModelError(
+            f"{', '.join(choice)}: only where an accuracy is asked for; give accuracy=... or leave them out"
+        )
+    judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice)
+    run = _Run(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     state = state or run.begin()
     saved = state if store else None
     try:
@@ -208,7 +239,7 @@ def evolve_wear(
     finally:
         if store and state is not saved:
             store.write(state)
-    return WearHistory(problem, rates, state.steps, state.solves, state.stopped)
+    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,11 +253,15 @@ class _Run:
     keep_every: int
     deepest: float | None
     tolerance: float
+    judge: AccurateWear | None = None
 
     def begin(self) -> WearState:
         depth = np.zeros(self.problem.model.pairs) if self.problem.wear is None else np.array(self.problem.wear)
-        solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
-        first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
+        if self.judge:
+            first = self.judge.begin(depth)
+        else:
+            solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
+            first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
         return WearState(first, None, self.jump.first if self.jump else 1, 1, (first,), None)
 
     def go_on(self, state: WearState) -> Iterator[WearState]:
@@ -283,13 +318,17 @@ class _Run:
         if self.jump:
             free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(self._allowed(here, length) / error))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
-        done = replace(state, latest=ahead, earlier=here, jump=following, solves=state.solves + solves)
+        kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
+        if kept and self.judge:
+            ahead = self.judge.look_at(ahead)
+        earlier = here if ahead.solution.orders == here.solution.orders else None  # nothing to extrapolate from
+        done = replace(state, latest=ahead, earlier=earlier, jump=following, solves=state.solves + solves)
         if self.deepest is not None and ahead.depth.max() > self.deepest:
             pair = int(ahead.depth.argmax())
             return self._stop(
                 done, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m"
             )
-        if ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles:
+        if kept:
             done = replace(done, steps=(*state.steps, ahead))
         return done
 
@@ -312,7 +351,7 @@ class _Run:
         return float(np.max(mean * system.flexibility[rows]))
 
     def _solve(self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int) -> WearStep:
-        problem = replace(self.problem, wear=depth)
+        problem = replace(latest.solution.problem, wear=depth)
         ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
         before = earlier.solution if earlier else None
         solution = solve_from(problem, latest.solution, before, ratio, self.tolerance)

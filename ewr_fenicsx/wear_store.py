@@ -14,7 +14,7 @@ from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import read_records, replace_file, restore, strip, write_records
 
-_FORMAT = "ewr_fenicsx wear, 1"
+_FORMAT = "ewr_fenicsx wear, 2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +26,14 @@ class WearStep:
         depth: ``(K_c,)`` worn by them [m].
         rate: ``(K_c,)`` depth that the next cycle wears [m].
         solution: Periodic solution with that depth.
+        estimate: Its estimated error, where an accuracy was asked for and the step was kept; else NaN.
     """
 
     cycle: int
     depth: RealArray
     rate: RealArray
     solution: PeriodicSolution
+    estimate: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +105,14 @@ class WearFile:
     def _write_steps(self, group: h5py.Group, steps: list[WearStep] | tuple[WearStep, ...]) -> None:
         group["cycle"] = np.array([s.cycle for s in steps])
         group["depth"], group["rate"] = np.array([s.depth for s in steps]), np.array([s.rate for s in steps])
+        group["estimate"] = np.array([s.estimate for s in steps])
         # wall times would tell a resumed run from an unbroken one
         write_records(group.create_group("solutions"), [replace(strip(s.solution), seconds=0.0) for s in steps])
 
     def _read_steps(self, group: h5py.Group) -> list[WearStep]:
-        cycle, depth, rate = (group[name][()] for name in ("cycle", "depth", "rate"))
+        cycle, depth, rate, estimate = (group[name][()] for name in ("cycle", "depth", "rate", "estimate"))
         records = read_records(group["solutions"])
         return [
-            WearStep(int(n), d, r, restore(replace(self.problem, wear=d), record))
-            for n, d, r, record in zip(cycle, depth, rate, records, strict=True)
+            WearStep(int(n), d, r, restore(replace(self.problem, wear=d), record), float(e))
+            for n, d, r, e, record in zip(cycle, depth, rate, estimate, records, strict=True)
         ]

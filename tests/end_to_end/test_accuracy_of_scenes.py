@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from ewr_fenicsx import cost_report
-from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx import cost_report, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.study import run_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,6 +29,15 @@ def write_scene(folder: Path, *more: str) -> Path:
     return path
 
 
+def write_root(path: Path, frequency: object, *more: str) -> Path:
+    """A blade root with a coarse mesh, at a frequency or several, and more entries."""
+    text = (ROOT / "demos" / "blade_root.toml").read_text(encoding="utf-8").replace('"../geometry', f'"{ROOT}/geometry')
+    text = text.replace("[loads.axial_pull]", "parameters = {mesh_size = 0.003, pairs = 4}\n[loads.axial_pull]", 1)
+    text = text.replace("frequency = 1000.0", f"frequency = {frequency}")
+    path.write_text("\n".join([text, *more]) + "\n", encoding="utf-8")
+    return path
+
+
 def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     scene = write_scene(tmp_path, "[solver]", "accuracy = 0.1")
     assert main(["run", str(scene), "--out", str(tmp_path / "out")]) == 0
@@ -32,6 +45,77 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+
+
+def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
+    """A blade root with one mode: the answer is that of a hundred modes and more harmonics, within the accuracy."""
+    path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", "accuracy = 0.03")
+    assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "modes raised from 1 to" in told.out and "NOT as accurate" not in told.out
+    assert "more modes" in told.err, "a stage of its own"
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["seconds"]["more modes"] > 0
+    modes = summary["model"]["fixed_interface_frequencies_Hz"]
+    assert len(modes) > 1, "what is written is of the model that was solved"
+
+    scene = load_scene(path)
+    found = {}
+    for count in (1, 100):
+        chain = build_chain(scene.model_copy(update={"reduction": scene.reduction.model_copy(update={"modes": count})}))
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        found[count] = solve(replace(problem, harmonics=21)).output("tip")[1:]
+    tip = {entry["harmonic"]: entry["real"] + 1j * entry["imag"] for entry in summary["solution"]["outputs"]["tip"]}
+    answer = np.array([tip.get(h, 0.0) for h in range(1, 22)])
+    off = lambda here: np.linalg.norm(here - found[100]) / np.linalg.norm(found[100])  # noqa: E731
+    assert off(answer) <= 0.03
+    assert off(found[1]) > 0.03, "one mode was too few"
+
+
+def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
+    """With one mode to begin with; against single solves with harmonics and modes that are more than enough."""
+    frequencies = [950.0, 1050.0, 1150.0]
+    path = write_root(tmp_path / "scene.toml", frequencies, "[solver]", "accuracy = 0.1", "[reduction]", "modes = 1")
+    assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "of 0.1 asked, highest harmonics" in told and "NOT as accurate" not in told
+    with (tmp_path / "out" / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert len(summary["model"]["fixed_interface_frequencies_Hz"]) > 1
+    assert {"sweep", "more modes"} <= set(summary["seconds"])
+    assert len({row["highest_harmonic"] for row in rows}) > 1, "harmonics are chosen at each frequency"
+    scene = load_scene(path)
+    chain = build_chain(scene.model_copy(update={"reduction": scene.reduction.model_copy(update={"modes": 60})}))
+    for frequency, row in zip(frequencies, rows, strict=True):
+        assert float(row["frequency [Hz]"]) == frequency
+        assert float(row["estimate"]) <= 0.1
+        problem = pose_problem(scene, chain.reduction.model, chain.interface, frequency)
+        true = np.abs(solve(replace(problem, harmonics=13)).output("tip")[1:])
+        off = [float(row.get(f"|tip| harmonic {h}", 0.0)) - true[h - 1] for h in range(1, 14)]
+        assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
+
+
+def test_wear_is_as_accurate_as_asked(tmp_path):
+    """From one mode; jumps by the same accuracy; against harmonics, modes and jumps that are more than enough."""
+    wear = ["[wear]", "coefficient = 1e-11", "cycles = 60"]
+    asked = load_scene(
+        write_root(tmp_path / "scene.toml", 1050.0, *wear, "[solver]", "accuracy = 0.1", "[reduction]", "modes = 1")
+    )
+    true = load_scene(
+        write_root(tmp_path / "true.toml", 1050.0, *wear, "tolerance = 0.01", "[solver]", "harmonics = 13")
+    )
+    found, truth = (run_study(build_chain(scene)) for scene in (asked, true))
+    assert len(found.chain.reduction.fixed_interface_frequencies) > 1
+    assert "of 0.1 asked, highest harmonics" in found.told and "NOT as accurate" not in found.told
+    (cycles, depth), (_, expected) = found.curve, truth.curve
+    assert len(cycles) < 40, "it jumped"
+    assert depth[-1] == pytest.approx(expected[-1], rel=0.3)  # as tests/verification/test_wear.py: three accuracies
+    assert found.solution.problem.wear.max() == pytest.approx(truth.solution.problem.wear.max(), rel=0.3)
+    found.write(tmp_path)
+    with (tmp_path / "wear.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert all(float(row["estimate"]) <= 0.1 for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +135,9 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     assert set(errors) == {1, 3, 5}
     assert errors[1] > errors[5] > found["own_error"]
     assert (folder / "cost.png").stat().st_size > 10_000
+    stages = {"mesh", "JIT", "matrices", "interface", "reduction", "solve: compose", "solve: newton", "write"}
+    assert set(found["stages"]) == stages
+    assert "stages of a run: mesh " in printed.out
 
 
 def test_nothing_to_choose_where_nothing_oscillates(tmp_path):

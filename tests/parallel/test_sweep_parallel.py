@@ -21,7 +21,7 @@ def work(task):
 try:
     share_tasks(range(8), work, MPI.COMM_WORLD)
 except ValueError as error:
-    print("caught", error, flush=True)
+    print(f"caught {error}\\n", end="", flush=True)
 """
 
 

@@ -10,10 +10,21 @@ import numpy as np
 import pytest
 from small_models import dovetail, lift_off_oscillator, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, frequency_sweep, solve
-from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    frequency_response,
+    frequency_sweep,
+    refining,
+    solve,
+    solve_to_accuracy,
+)
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
+from ewr_fenicsx.estimates import estimate_errors, measure_distance
 from ewr_fenicsx.following import agree
-from ewr_fenicsx.solution_store import fingerprint, restore, strip
+from ewr_fenicsx.refining import join_points
+from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)
@@ -141,3 +152,108 @@ def test_fingerprints_tell_problems_apart():
 def test_frequencies_must_rise(bad):
     with pytest.raises(ModelError, match="frequencies"):
         sweep(frequencies=bad)
+
+
+def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
+    """Against a sweep with many harmonics, and against single solves to the same accuracy, from cold."""
+    accuracy = 0.02
+    curve = sweep(accuracy=accuracy)
+    model = curve.solutions[0].problem.model
+    truth = frequency_response(model, LAWS, FREQUENCIES, 60, progress=False)
+    for found, true in zip(curve.accurate, truth.solutions, strict=True):
+        assert found.reached and found.estimate.total <= accuracy
+        assert measure_distance(found.solution, true) <= accuracy
+        single = solve_to_accuracy(ContactProblem(model, LAWS, true.problem.frequency), accuracy)
+        assert measure_distance(found.solution, single.solution) <= 2 * accuracy
+    tops = [s.orders[-1] for s in curve.solutions]
+    assert len(set(tops)) > 1, "harmonics are chosen at each frequency"
+    assert [found.solution for found in curve.accurate] == list(curve.solutions)
+    table = curve.table()
+    np.testing.assert_array_equal(table["highest_harmonic"], tops)
+    np.testing.assert_array_equal(table["estimate"], [found.estimate.total for found in curve.accurate])
+    assert f"|tip| harmonic {max(tops)}" in table
+    lean = tops.index(min(tops))
+    assert curve.output("tip")[lean, curve.orders.index(max(tops))] == 0.0, "a harmonic that this one has not"
+
+
+def test_a_finer_sweep_gives_the_same_curve():
+    coarse, fine = sweep(accuracy=0.02), sweep(np.linspace(0.08, 0.4, 17), accuracy=0.02)
+    for here, there in zip(coarse.accurate, fine.accurate[::2], strict=True):
+        assert measure_distance(here.solution, there.solution) <= 0.04
+
+
+def test_points_that_are_not_as_accurate_as_asked_say_why():
+    curve = sweep(FREQUENCIES[2:4], accuracy=1e-5)
+    assert not any(found.reached for found in curve.accurate)
+    assert all("harmonic 63 is the highest allowed" in found.limit for found in curve.accurate)
+    assert (curve.table()["estimate"] > 1e-5).all()
+    with pytest.raises(ModelError, match="between 0 and 1"):
+        sweep(accuracy=1.5)
+
+
+def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch):
+    def fail(problem, *_, **__):
+        raise NotConverged("lost", best=solve(problem))
+
+    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
+    coarse, curve = sweep(), sweep(accuracy=0.02)
+    np.testing.assert_array_equal(curve.output("tip"), coarse.output("tip"))
+    assert not any(found.reached for found in curve.accurate)
+    assert all(found.limit.startswith("no solution found with harmonics up to 5") for found in curve.accurate)
+    assert [found.estimate.total for found in curve.accurate] == [estimate_errors(s).total for s in coarse.solutions]
+
+
+def test_an_accurate_curve_goes_round_its_folds():
+    """With more harmonics the upper fold comes earlier: points that fall off there go, the rest is one curve."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    frequencies = np.linspace(0.15, 0.18, 7)
+    curve = frequency_response(model, laws, frequencies, 7, progress=False, accuracy=0.01)
+    assert curve.jumps == () and curve.missing == ()
+    assert set(frequencies) <= set(curve.frequencies)
+    assert all(found.reached for found in curve.accurate)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    assert len(turns) == 2
+    # between the folds the response falls all the way but for the accuracy: no point is one of another branch
+    heights = np.abs(curve.output("tip")[turns[0] : turns[1] + 1, curve.orders.index(1)])
+    assert (np.diff(heights) < 0.01 * heights[:-1]).all()
+    assert heights[0] > 1.7 and heights[-1] < 1.01
+
+
+def test_a_curve_that_falls_off_its_branch_is_broken_there():
+    """A point from the lower branch in place of the upper one: told where it is wanted, left out elsewhere."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    upper = frequency_response(model, laws, [0.160, 0.165, 0.166, 0.167], 7, progress=False)
+    found = [solve_to_accuracy(s.problem, 0.02, s) for s in upper.solutions]
+    lower = None
+    for frequency in (0.18, 0.172, 0.169, 0.166):
+        lower = solve(replace(upper.solutions[2].problem, frequency=frequency), lower)
+    fallen = [*found[:2], replace(found[2], solution=lower), found[3]]
+    frequencies = list(upper.frequencies)
+    assert join_points(upper.solutions, found, frequencies)[1] == []
+    kept, jumps = join_points(upper.solutions, fallen, frequencies)
+    assert kept == fallen
+    assert [jump.frequency for jump in jumps] == [(0.165, 0.166), (0.166, 0.167)]
+    kept, jumps = join_points(upper.solutions, fallen, [0.160, 0.165, 0.167])
+    assert kept == [fallen[0], fallen[1], fallen[3]] and jumps == []
+
+
+def test_accurate_curves_are_kept_in_files(tmp_path):
+    """Forces of solutions with different harmonics in one array; each has its own rows."""
+    curve = sweep(accuracy=0.02, folder=tmp_path)
+    with h5py.File(tmp_path / "frequency_response.h5") as file:
+        records = read_records(file["curve_0"])
+        np.testing.assert_array_equal(file["curve_0/table/estimate"][()], curve.table()["estimate"])
+    assert len({len(record.forces) for record in records}) > 1
+    problem = ContactProblem(curve.solutions[0].problem.model, LAWS, 1.0)
+    for record, solution in zip(records, curve.solutions, strict=True):
+        back = restore(replace(problem, frequency=record.frequency), record)
+        assert back.orders == solution.orders
+        np.testing.assert_array_equal(back.output("tip"), solution.output("tip"))
+        assert np.linalg.norm(HarmonicBalance(back.problem.system).residual(pack(back))) < 1e-8
+    with (tmp_path / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["highest_harmonic"]) for row in rows] == [s.orders[-1] for s in curve.solutions]
+
+
+def pack(solution):
+    return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)

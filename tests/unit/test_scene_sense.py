@@ -334,7 +334,6 @@ def test_most_demo_scenes_name_the_schema():
     [
         ("accuracy = 0.01\nharmonics = 9", "", "accuracy = 0.01 chooses harmonics itself; give one of the two"),
         ("accuracy = 0.01\nsamples = 99", "", "accuracy = 0.01 chooses samples itself; give one of the two"),
-        ("accuracy = 0.01", "[wear]\ncycles = 5", "for a single periodic solution, and this scene asks for wear"),
     ],
 )
 def test_an_accuracy_takes_the_place_of_what_it_chooses(read, solver, more, told):
@@ -342,9 +341,10 @@ def test_an_accuracy_takes_the_place_of_what_it_chooses(read, solver, more, told
         read(f"{SCENE}[solver]\n{solver}\n{more}")
 
 
-def test_an_accuracy_is_for_one_frequency(read):
-    with pytest.raises(SceneError, match="this scene asks for a sweep"):
-        read(SCENE.replace("1000", "[900, 1000]") + "[solver]\naccuracy = 0.01")
+def test_an_accuracy_may_be_asked_of_sweeps_and_of_a_model_with_stated_modes(read):
+    """Modes are where it begins, as a mesh is; harmonics would be all that it has."""
+    scene = read(SCENE.replace("1000", "[900, 1000]") + "[reduction]\nmodes = 7\n[solver]\naccuracy = 0.01")
+    assert (scene.reduction.modes, scene.solver.accuracy) == (7, 0.01)
 
 
 def test_with_an_accuracy_loads_may_have_any_harmonic(read):

@@ -18,7 +18,7 @@ from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import pair_interface
 from ewr_fenicsx.materials import TITANIUM, ModalRatios, PerMode
 from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.reduction import reduce_structure
+from ewr_fenicsx.reduction import keep_more_modes, reduce_structure
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
@@ -276,3 +276,24 @@ def test_too_many_modes_and_clamped_pairs_are_refused():
     structure, interface = assemble(TWO_BLOCKS, clamp=("clamp", "joint"))
     with pytest.raises(InterfaceError, match=r'flank "joint": both nodes at .* are clamped'):
         reduce_structure(structure, interface, modes=3)
+
+
+def test_modes_added_later_give_the_model_of_all_at_once():
+    """Deflation finds the modes that come next, and what the load responses had outside the first is enough."""
+    structure, interface = assemble(TWO_BLOCKS)
+    once = reduce_structure(structure, interface, modes=20)
+    grown = keep_more_modes(keep_more_modes(reduce_structure(structure, interface, modes=2), 5), 20)
+    np.testing.assert_allclose(grown.fixed_interface_frequencies, once.fixed_interface_frequencies, rtol=1e-9)
+    assert grown.modal_coordinates == once.modal_coordinates
+    for name in ("mass", "damping", "stiffness", "normal", "tangential"):
+        expected = getattr(once.model, name)
+        np.testing.assert_allclose(getattr(grown.model, name), expected, atol=1e-9 * np.abs(expected).max())
+    for h, load in once.model.load.items():
+        np.testing.assert_allclose(grown.model.load[h], load, atol=1e-9 * np.abs(load).max())
+
+
+def test_no_more_modes_than_there_are():
+    reduction = reduce_structure(*assemble(TWO_BLOCKS), modes=3)
+    for count in (3, reduction.most_modes + 1):
+        with pytest.raises(ModesError, match=f"{count} modes asked for; give more than the 3 there are, at most"):
+            keep_more_modes(reduction, count)

@@ -6,15 +6,17 @@ given by the load, Archard's law makes differences of pressure decay by the fact
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small_models import dovetail, winkler_punch
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve, wear
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.errors import ModelError, UnheldBody
+from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.following import solve_from
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
@@ -239,3 +241,71 @@ def test_worn_volume_does_not_depend_on_the_number_of_pairs(monkeypatch):
     assert coarse["first_cycle"] == pytest.approx(coarse["integral"], rel=1e-4)
     assert fine["first_cycle"] == pytest.approx(fine["integral"], rel=1e-4)
     assert coarse["nodal"] / fine["nodal"] > 1.8, "by nodal force the depth would halve"
+
+
+_ACCURATE = (
+    3.0  # accuracies that the worn depth may be off: one by the jumps, two by rates estimated with one step each
+)
+
+
+@pytest.mark.parametrize("accuracy", [0.1, 0.03])
+def test_wear_is_as_accurate_as_asked(accuracy):
+    """Against thirty harmonics and jumps a hundred times finer. Here the outputs say nothing of wear."""
+    problem = dovetail_problem()
+    if "truth" not in _history:
+        _history["truth"] = evolve_wear(
+            replace(problem, harmonics=30), 400, WEAR_OF_DOVETAIL, Tolerance(share=1e-3), keep_every=400
+        )
+    true = _history["truth"].depth[-1]
+    asked = evolve_wear(problem, 400, WEAR_OF_DOVETAIL, Tolerance(share=accuracy), keep_every=20, accuracy=accuracy)
+    assert (asked.estimates <= accuracy).all()
+    assert np.abs(asked.depth[-1] - true).max() <= _ACCURATE * accuracy * true.max()
+    if accuracy < 0.1:
+        crude = evolve_wear(problem, 400, WEAR_OF_DOVETAIL, Tolerance(share=1e-3), keep_every=400)
+        assert estimate_errors(crude.solutions[0]).total < 0.01
+        assert np.abs(crude.depth[-1] - true).max() > 0.15 * true.max()
+        assert asked.solutions[0].orders[-1] > 10, "the wear rate takes more harmonics than the outputs"
+    table = asked.table()
+    np.testing.assert_array_equal(table["estimate"], asked.estimates)
+    np.testing.assert_array_equal(table["highest_harmonic"], [s.orders[-1] for s in asked.solutions])
+    assert asked.output("tip").shape == (len(asked.steps), len(asked.orders))
+
+
+def wear_to_a_tenth(**settings):
+    return evolve_wear(
+        dovetail_problem(), 3000, WEAR_OF_DOVETAIL, Tolerance(share=0.1), keep_every=150, accuracy=0.1, **settings
+    )
+
+
+def test_harmonics_are_raised_when_a_worn_joint_needs_more(tmp_path, monkeypatch):
+    """And a run that is broken off there and taken up again is the unbroken one, byte for byte."""
+    whole = wear_to_a_tenth(file=tmp_path / "whole.h5")
+    tops = [s.orders[-1] for s in whole.solutions]
+    assert tops[0] < tops[-1], "the fresh joint took fewer"
+    assert (whole.estimates <= 0.1).all()
+    assert (np.diff(whole.depth, axis=0) >= 0).all()
+
+    steps, advance = [], wear._Run.advance
+
+    def break_off(run, state):
+        if len(steps) == 5:
+            raise KeyboardInterrupt
+        steps.append(state)
+        return advance(run, state)
+
+    monkeypatch.setattr(wear._Run, "advance", break_off)
+    with pytest.raises(KeyboardInterrupt):
+        wear_to_a_tenth(file=tmp_path / "broken.h5")
+    monkeypatch.setattr(wear._Run, "advance", advance)
+    resumed = wear_to_a_tenth(file=tmp_path / "broken.h5")
+    assert [s.orders[-1] for s in resumed.solutions] == tops
+    assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+
+def test_what_an_accuracy_of_wear_cannot_mean():
+    with pytest.raises(ModelError, match="between 0 and 1"):
+        evolve_wear(dovetail_problem(), 5, WEAR_OF_DOVETAIL, accuracy=2.0)
+    with pytest.raises(ModelError, match="modes: only where an accuracy is asked for"):
+        evolve_wear(dovetail_problem(), 5, WEAR_OF_DOVETAIL, modes=[0])
+    with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
+        evolve_wear(dovetail_problem(), 5, WEAR_OF_DOVETAIL, accuracy=0.1, file="wear.h5", more_modes=print)

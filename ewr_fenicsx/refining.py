@@ -1,0 +1,155 @@
+"""Points of a curve solved again, each as accurate as asked: harmonics, samples and weights point by point.
+
+A curve of few harmonics says which solutions there are and how they hang together. Each of its points is where the
+solve to an accuracy starts, with about as many harmonics as the point before it took. Groups of points know nothing of
+each other: ranks share them, and the result does not depend on how many there are. Solutions that fell off their branch
+are told from the others by their neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from ewr_fenicsx.accuracy import FIRST_ORDER, GROWTH, AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
+from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump
+from ewr_fenicsx.following import measure_distance as measure_symmetric_distance
+from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution_store import Record, restore, strip
+from ewr_fenicsx.task_sharing import share_tasks
+
+GROUP = 6  # points a group
+SAME = 2.0  # accuracies that two solutions of one problem may lie apart
+
+
+def refine_points(
+    problem: ContactProblem,
+    points: Sequence[PeriodicSolution],
+    accuracy: float,
+    tolerance: float = 1e-8,
+    *,
+    modes: Sequence[int] = (),
+    comm: MPI.Comm = MPI.COMM_SELF,
+    progress: bool = False,
+) -> list[AccurateSolution]:
+    """Solves every point of a curve again, as accurate as asked; collective, with the same result on every rank.
+
+    Args:
+        problem: What is to be solved, at any frequency; its model may have other modes than that of the points.
+        points: Where to start: a solution for each frequency, in the order of the curve.
+        accuracy, tolerance, modes: As in ``solve_to_accuracy``.
+        comm: Ranks that share the work.
+        progress: Whether rank 0 shows how far it is.
+
+    Returns:
+        A solution a point. One without a solution of more harmonics stays as it was, and says so in its ``limit``.
+    """
+    groups = [points[i : i + GROUP] for i in range(0, len(points), GROUP)]
+
+    def work(group: Sequence[PeriodicSolution]) -> list[tuple[Record, AccurateSolution]]:
+        done, first = [], group[0].orders[-1]
+        for point in group:
+            posed = replace(problem, frequency=point.problem.frequency)
+            found = refine_point(posed, point, accuracy, tolerance, first, modes)
+            first = begin_next(found, first)
+            done.append((strip(found.solution), replace(found, solution=None)))
+        return done
+
+    with count_progress("accuracy", len(groups), progress and comm.rank == 0) as report:
+        results = share_tasks(groups, work, comm, report)
+        report(len(groups))
+    return [
+        replace(found, solution=restore(replace(problem, frequency=record.frequency), record))
+        for group in results
+        for record, found in group
+    ]
+
+
+def refine_point(
+    problem: ContactProblem,
+    point: PeriodicSolution,
+    accuracy: float,
+    tolerance: float,
+    first: int,
+    modes: Sequence[int] = (),
+) -> AccurateSolution:
+    """A solution as accurate as asked, from a point of the curve; where none is found, that point and why."""
+    try:
+        return solve_to_accuracy(problem, accuracy, point, tolerance, first=first, modes=modes)
+    except NotConverged as error:
+        why = f"no solution found with harmonics up to {first}: {error.best.reason}"
+        return AccurateSolution(point, estimate_errors(point), accuracy, False, why, (), 0.0)
+
+
+def begin_next(found: AccurateSolution, first: int) -> int:
+    """Highest harmonic of the next point's first solve: that of the last one here but one, which the last confirmed."""
+    tops = [level.orders[-1] for level in found.levels]
+    if not tops:
+        return first
+    return max(FIRST_ORDER, tops[-2] if len(tops) > 1 else round(tops[-1] / GROWTH[0]))
+
+
+def join_points(
+    points: Sequence[PeriodicSolution],
+    found: Sequence[AccurateSolution],
+    frequencies: Sequence[float],
+    tolerance: float = 1e-8,
+) -> tuple[list[AccurateSolution], list[Jump]]:
+    """The curve of the accurate solutions: those that fell off their branch are left out, or a break is told.
+
+    A branch with more harmonics may turn back before one with few does. Next to a fold, a solve then ends far from
+    where it started, on another branch.
+
+    Args:
+        points: The curve that the accurate solutions come from.
+        found: The accurate solution of each of its points.
+        frequencies: Where a solution is wanted [Hz]: there it stays, and elsewhere one that fell off is left out.
+        tolerance: As in ``solve``.
+
+    Returns:
+        The solutions that stay, and where their curve is broken while that of the points is not.
+    """
+    kept: list[tuple[PeriodicSolution, AccurateSolution]] = []
+    jumps = []
+    for point, here in zip(points, found, strict=True):
+        fell = measure_gap(point, here.solution) > LARGEST_SURPRISE
+        if kept:
+            before, last = kept[-1]
+            surprise = measure_gap(last.solution, here.solution) - measure_gap(before, point)
+            suspect = fell or measure_gap(before, last.solution) > LARGEST_SURPRISE
+            if suspect and surprise > LARGEST_SURPRISE and not lie_on_one_branch(last, here, tolerance):
+                if fell and point.problem.frequency not in frequencies:
+                    continue
+                ends = last.solution.problem.frequency, point.problem.frequency
+                jumps.append(Jump(ends, "with more harmonics no common branch was found"))
+        kept.append((point, here))
+    return [here for _, here in kept], jumps
+
+
+def measure_gap(a: PeriodicSolution, b: PeriodicSolution) -> float:
+    """Distance of the outputs' oscillations at two frequencies over the larger one."""
+    orders = sorted({*a.orders, *b.orders})
+    return measure_symmetric_distance(*(read_response(s.problem, s.forces, s.rigid, orders) for s in (a, b)))
+
+
+def lie_on_one_branch(a: AccurateSolution, b: AccurateSolution, tolerance: float) -> bool:
+    """Whether small steps in frequency lead from the one at the lower frequency to the other; no folds are passed."""
+    low, high = sorted((a, b), key=lambda found: found.solution.problem.frequency)
+    ends = [found.solution.problem.frequency for found in (low, high)]
+    stepper = _Stepper(lambda f: replace(low.solution.problem, frequency=float(f)), *ends, None, tolerance)
+    curve = stepper.follow([low.solution], ends[1:])
+    allowed = SAME * sum(max(found.accuracy, found.estimate.total) for found in (a, b))
+    return bool(curve.points) and measure_distance(curve.points[-1], high.solution) <= allowed
+
+
+class _Stepper(Follower):
+    """Follows a branch as far as it does not turn back."""
+
+    def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
+        return Curve()

@@ -1,0 +1,89 @@
+"""Wear to an accuracy: harmonics, samples and weights chosen for the fresh joint, and again where it has changed.
+
+What is asked of the outputs is asked of the wear rate as well, which may take far more harmonics: where most pairs
+stick, the outputs hardly know of those that slide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from ewr_fenicsx.accuracy import FIRST_ORDER, AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.archard import measure_wear_rate
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.estimates import estimate_errors
+from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.wear_store import WearStep
+
+
+class AccurateWear:
+    """Judges the solutions of a wear calculation, and solves again where one is not as accurate as asked.
+
+    Args:
+        problem: The unworn problem; weights that it gives are kept.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+        accuracy, tolerance: As in ``solve_to_accuracy``.
+        choice: Further arguments of ``solve_to_accuracy``: modes, what limits them, highest harmonic.
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        coefficient: RealArray,
+        accuracy: float,
+        tolerance: float,
+        choice: Mapping[str, object],
+    ):
+        self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
+        self.choice = dict(choice)
+
+    def begin(self, depth: RealArray) -> WearStep:
+        """The first step, with as many harmonics as it takes.
+
+        Raises:
+            NotConverged: The joint has no solution.
+        """
+        found = self._solve(replace(self.problem, wear=depth), None, FIRST_ORDER)
+        return self._take(WearStep(0, depth, depth, found.solution), found.solution, found.estimate.total)
+
+    def look_at(self, step: WearStep) -> WearStep:
+        """A step with its estimated error; where that exceeds the accuracy, with the solution of one that does not.
+
+        Where nothing more accurate is found, the step stays as it is, and its estimate says so.
+        """
+        estimate = self._estimate(step.solution)
+        if estimate <= self.accuracy:
+            return replace(step, estimate=estimate)
+        posed = replace(step.solution.problem, rho_tangential=self.problem.rho_tangential)
+        try:
+            found = self._solve(posed, step.solution, step.solution.orders[-1])
+        except NotConverged:
+            return replace(step, estimate=estimate)
+        if found.estimate.total >= estimate:
+            return replace(step, estimate=estimate)
+        return self._take(step, found.solution, found.estimate.total)
+
+    def _estimate(self, solution: PeriodicSolution) -> float:
+        return estimate_errors(solution, self.choice.get("modes", ()), self._rate).total
+
+    def _rate(self, solution: PeriodicSolution) -> RealArray:
+        return measure_wear_rate(solution, self.coefficient)
+
+    def _solve(self, problem: ContactProblem, start: PeriodicSolution | None, first: int) -> AccurateSolution:
+        choice, depth = dict(self.choice), problem.wear
+        if more := choice.get("more_modes"):
+
+            def keep_more(count: int) -> tuple[ContactProblem, object]:
+                unworn, self.choice["modes"] = more(count)
+                return replace(unworn, wear=depth), self.choice["modes"]
+
+            choice["more_modes"] = keep_more
+        return solve_to_accuracy(
+            problem, self.accuracy, start, self.tolerance, first=first, figure=self._rate, **choice
+        )
+
+    def _take(self, step: WearStep, solution: PeriodicSolution, estimate: float) -> WearStep:
+        return replace(step, rate=self._rate(solution), solution=solution, estimate=estimate)

@@ -1,0 +1,71 @@
+"""The stopwatch of the chain: stages within stages, and compilation apart from what it happens in."""
+
+from __future__ import annotations
+
+import dolfinx
+import pytest
+import ufl
+from mpi4py import MPI
+
+from ewr_fenicsx import _compat, chain
+from ewr_fenicsx.chain import Stopwatch, add_times
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that only the test moves: seconds, and how many of them were compilation."""
+
+    class Clock:
+        now = compiled = 0.0
+
+        def spend(self, seconds: float, compiling: float = 0.0) -> None:
+            self.now += seconds + compiling
+            self.compiled += compiling
+
+    clock = Clock()
+    monkeypatch.setattr(chain.time, "perf_counter", lambda: clock.now)
+    monkeypatch.setattr(chain, "measure_compilation", lambda: clock.compiled)
+    return clock
+
+
+def test_every_second_counts_for_one_stage(clock):
+    told = []
+    watch = Stopwatch(lambda *said: told.append(said))
+    with watch.stage("solve"):
+        clock.spend(1.0, compiling=0.25)
+        with watch.stage("more modes"):
+            clock.spend(2.0, compiling=0.5)
+        with watch.stage("more modes"):
+            clock.spend(4.0)
+        clock.spend(8.0)
+    with watch.stage("write"):
+        clock.spend(16.0, compiling=0.002)
+    assert watch.seconds == pytest.approx({"solve": 9.0, "more modes": 6.0, "JIT": 0.752, "write": 16.0})
+    assert sum(watch.seconds.values()) == pytest.approx(clock.now)
+    done = [(stage, seconds) for stage, seconds in told if seconds is not None]
+    assert done == [
+        ("more modes", 2.0),
+        ("JIT", 0.5),
+        ("more modes", 4.0),
+        ("solve", pytest.approx(9.0)),
+        ("JIT", 0.25),
+        ("write", pytest.approx(16.0)),
+    ]
+    assert [stage for stage, seconds in told if seconds is None].count("JIT") == 2, "each line is begun and ended"
+
+
+def test_times_add_up_by_stage():
+    assert add_times({"mesh": 1.0, "JIT": 2.0}, {"solve": 4.0, "JIT": 8.0}) == {"mesh": 1.0, "JIT": 10.0, "solve": 4.0}
+
+
+def test_compilation_is_measured_on_every_form():
+    """A form that is compiled, or found in the cache, takes time of its own: the clock runs then, and not after."""
+    mesh = dolfinx.mesh.create_unit_interval(MPI.COMM_SELF, 3)
+    before = _compat.measure_compilation()
+    space = _compat.function_space(mesh, "Lagrange", 1)
+    after_space = _compat.measure_compilation()
+    form = _compat.compile_form(ufl.TestFunction(space) * ufl.dx, "a test form")
+    after_form = _compat.measure_compilation()
+    _compat.assemble_vector(form)
+    assert before < after_space < after_form
+    assert _compat.measure_compilation() == after_form
