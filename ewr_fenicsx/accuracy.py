@@ -180,8 +180,9 @@ def solve_to_accuracy(
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
             raised = min(raised, highest, top + room)
             if raised <= top:
-                limit = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
-                limit = f"harmonic {highest} is the highest allowed; allow more" if top >= highest else limit
+                hit = f"harmonic {highest} is the highest allowed; allow more"
+                full = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
+                limit = hit if top >= highest else full
             top = raised
     return AccurateSolution(
         solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
