@@ -87,10 +87,14 @@ class RatioDamping(Section):
 
 
 class ModalDamping(Section):
-    """The same ratio of critical damping for every mode of the reduced basis."""
+    """The same ratio of critical damping for every mode of the open joint.
+
+    Modes of the closed joint have at most that, and the lowest far less where it holds a body that floats without it:
+    rigid motions are not damped. Where the closed joint's damping is known, give it as `ratios`.
+    """
 
     kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")
-    ratio: Number = entry(..., "-", "Ratio of critical damping of every mode.", ge=0, lt=1)
+    ratio: Number = entry(..., "-", "Ratio of critical damping of every mode of the open joint.", ge=0, lt=1)
 
 
 class Supports(Section):
