@@ -221,7 +221,7 @@ class Solver(Section):
         lt=1,
     )
     harmonics: Integer | tuple[Integer, ...] = entry(
-        5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics."
+        5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics; contact that opens needs 0."
     )
     samples: Integer | None = entry(None, "-", "Time samples a period; by default enough for the harmonics.", ge=3)
     rho_normal: Number | None = entry(
