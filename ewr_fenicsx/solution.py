@@ -16,6 +16,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
+FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 
 
@@ -195,12 +196,17 @@ class PeriodicSolution:
 
     @cached_property
     def merit(self) -> dict[str, float]:
-        """Figures of merit: violations of the laws, energies over a period, sliding, separation, RMS of outputs."""
+        """Figures of merit: violations of the laws, energies over a period, sliding, separation, RMS of outputs.
+
+        Violations are looked for between the samples as well, where no law is enforced.
+        """
         problem, model = self.problem, self.problem.model
         omega = problem.omega or 1.0
         loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
         viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
         sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
+        seen = ("gap", "normal_force", "friction_force")
+        fine = {name: self.history(name, max(problem.basis.samples, FINE)) for name in seen}
         friction, unilateral = problem.friction, problem.opens
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
@@ -212,11 +218,11 @@ class PeriodicSolution:
         )
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
-            "penetration": max(0.0, -float(sampled["gap"][:, unilateral].min(initial=0.0))),
-            "tension": max(0.0, -float(sampled["normal_force"][:, unilateral].min(initial=0.0))),
-            "largest_normal_force": float(sampled["normal_force"].max(initial=0.0)),
+            "penetration": max(0.0, -float(fine["gap"][:, unilateral].min(initial=0.0))),
+            "tension": max(0.0, -float(fine["normal_force"][:, unilateral].min(initial=0.0))),
+            "largest_normal_force": float(fine["normal_force"].max(initial=0.0)),
             "cone_violation": indicators.measure_cone_violation(
-                sampled["friction_force"][:, slides], sampled["normal_force"][:, slides], friction[slides]
+                fine["friction_force"][:, slides], fine["normal_force"][:, slides], friction[slides]
             ),
             "excitation_work": work,
             "viscous_dissipation": dissipated,

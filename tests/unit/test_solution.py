@@ -194,8 +194,7 @@ def test_unknown_names_are_hinted_at(rubbing):
 
 def test_figures_of_merit_are_those_of_the_histories(rubbing):
     merit, count = rubbing.merit, rubbing.problem.basis.samples
-    h = {name: rubbing.history(name, count)[:, 0] for name in HISTORIES}
-    dt = 1 / rubbing.problem.frequency / count
+    h = {name: rubbing.history(name, max(count, 1024))[:, 0] for name in HISTORIES}
     assert merit["penetration"] == pytest.approx(max(0.0, -h["gap"].min()), rel=1e-12) and merit["penetration"] > 0
     assert merit["tension"] == pytest.approx(max(0.0, -h["normal_force"].min()), rel=1e-12)
     assert merit["largest_normal_force"] == h["normal_force"].max()
@@ -203,6 +202,8 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["cone_violation"] == pytest.approx(
         (np.abs(h["friction_force"]) - limit).max() / limit.max(), rel=1e-12
     )
+    h = {name: rubbing.history(name, count)[:, 0] for name in HISTORIES}
+    dt = 1 / rubbing.problem.frequency / count
     rubbed = -np.sum(h["admissible_friction_force"] * h["slip_velocity"]) * dt
     assert merit["friction_dissipation"] == pytest.approx(rubbed, rel=1e-12) and rubbed > 0
     assert merit["J_T"] == pytest.approx(np.sum(np.abs(h["slip_velocity"])) * dt, rel=1e-12)
@@ -216,6 +217,20 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["rms_tip"] == pytest.approx(np.std(x @ model.outputs["tip"]), rel=1e-10)
     work, lost = merit["excitation_work"], merit["viscous_dissipation"] + rubbed
     assert merit["energy_error"] == pytest.approx((work - lost) / max(work, lost), abs=1e-12)
+
+
+def test_violations_between_the_samples_are_seen(rubbing):
+    """Just enough samples, at which the laws are enforced: the figures are those of a continuous look."""
+    few = solve(replace(rubbing.problem, samples=11))
+    h = {name: few.history(name, 20_000)[:, 0] for name in HISTORIES}
+    limit = 0.3 * np.maximum(0, h["normal_force"])
+    expected = {
+        "penetration": -h["gap"].min(),
+        "tension": -h["normal_force"].min(),
+        "cone_violation": (np.abs(h["friction_force"]) - limit).max() / limit.max(),
+    }
+    for name, value in expected.items():
+        assert few.merit[name] == pytest.approx(value, rel=0.02) and value > 0, name
 
 
 def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
