@@ -17,6 +17,8 @@ from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
+COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
+LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 
 
@@ -235,6 +237,33 @@ class PeriodicSolution:
             figures[f"rms_{name}"] = indicators.measure_rms(self.output(name), self.orders)
         return figures
 
+    @cached_property
+    def cautions(self) -> tuple[str, ...]:
+        """What speaks against trusting a converged solution as it is, a line each."""
+        if not self.converged:
+            return ()
+        merit, coarse = self.merit, []
+        exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
+        swinging = sum(
+            np.pi * h * float(np.abs(self.problem.loads.get(h, 0)) @ np.abs(x))
+            for h, x in zip(self.orders, self.coordinates, strict=True)
+            if h in self.problem.loads
+        )
+        if abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
+            coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
+        if merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
+            coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
+        lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
+        if self.fallbacks:
+            lines.append(
+                "found by a fallback: there may be other solutions, and the stability of this one is not known"
+            )
+        return tuple(lines)
+
+    def list_reservations(self) -> list[str]:
+        """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""
+        return [*(f"fallback: {rung}" for rung in self.fallbacks), *self.cautions]
+
     def summary(self) -> str:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
@@ -248,5 +277,5 @@ class PeriodicSolution:
         ]
         if self.left_out:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
-        lines += [f"  fallback: {rung}" for rung in self.fallbacks]
+        lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)

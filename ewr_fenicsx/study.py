@@ -243,6 +243,7 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
         short = history.cycles[history.estimates > accuracy]
         told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
     told += [f"  stopped {history.stopped}"] if history.stopped else []
-    last = history.solutions[-1]
+    first, last = history.solutions[0], history.solutions[-1]
+    told += [f"  the first solve: {line}" for line in first.list_reservations()]
     course = history.cycles, history.depth.mean(axis=1)
     return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)

@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import gmsh
@@ -199,6 +200,18 @@ def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
     peak = max(rows, key=lambda row: float(row["rms_tip"]))
     assert summary["solution"]["frequency_Hz"] == float(peak["frequency [Hz]"])
     assert abs(tip_amplitude(summary)) == pytest.approx(float(peak["|tip| harmonic 1"]), rel=1e-12)
+
+
+def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):
+    """The worn joint is found from there without any."""
+    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 2\ncoefficient = 1e-12\n"
+    (tmp_path / "scene.toml").write_text(text)
+    late = lambda *given, **named: replace(solve(*given, **named), fallbacks=("one: no", "two: yes"))  # noqa: E731
+    monkeypatch.setattr("ewr_fenicsx.wear.solve", late)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    out = capsys.readouterr().out
+    assert "the first solve: fallback: one: no" in out and "the first solve: fallback: two: yes" in out
+    assert "the first solve: found by a fallback: there may be other solutions" in " ".join(out.split())
 
 
 def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):

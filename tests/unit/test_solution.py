@@ -274,6 +274,28 @@ def test_summary_is_for_people(rubbing):
     assert "NOT converged (too many Newton steps)" in lost.summary() and "fallback: half the load" in lost.summary()
 
 
+def test_a_summary_says_where_truncation_is_coarse(rubbing):
+    """Few harmonics pull; forces that are off leave energy over; where next to none is exchanged, that is rounding."""
+    assert rubbing.cautions == () and "coarse" not in rubbing.summary()
+    coarse = solve(replace(rubbing.problem, harmonics=1))
+    assert "\n  truncation is coarse: contact pulls by up to 0.8" in coarse.summary()
+    off = replace(rubbing, forces=1.2 * rubbing.forces)
+    expected = f"truncation is coarse: energies are out of balance by {off.merit['energy_error']:.1%}"
+    assert expected in off.summary() and "out of balance" not in coarse.summary()
+    undamped = replace(dovetail(excitation=1.0), damping=np.zeros((26, 26)))
+    stuck = solve(ContactProblem(undamped, ContactLaws(friction=5.0), 200.0, 3))
+    assert abs(stuck.merit["energy_error"]) > 0.01 and stuck.cautions == ()
+
+
+def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
+    late = replace(rubbing, fallbacks=("growing harmonics: fell no further", "time stepping: residual below"))
+    lines = late.summary().splitlines()
+    assert lines[1] == "  fallback: growing harmonics: fell no further"
+    assert lines[3] == "  found by a fallback: there may be other solutions, and the stability of this one is not known"
+    assert "other solutions" not in replace(late, converged=False).summary()
+    assert "other solutions" not in rubbing.summary()
+
+
 # Invariances of the whole solve
 
 
