@@ -100,6 +100,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
                 overwrite=arguments.overwrite,
                 seconds=study.seconds,
                 write_more=study.write,
+                facts=study.facts,
             )
     if comm.rank == 0:
         print(study.told, list_files(files), sep="\n\n")

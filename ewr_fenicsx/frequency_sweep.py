@@ -74,6 +74,18 @@ class FrequencyResponse:
         """Harmonics that any of the solutions has, ``n_h`` of them."""
         return list_orders(self.solutions)
 
+    @property
+    def breaks(self) -> tuple[int, ...]:
+        """Solutions after which the curve is broken by a jump, by their number."""
+        found = set()
+        for jump in self.jumps:
+            begin, end = jump.frequency
+            for i, (here, there) in enumerate(pairwise(self.frequencies)):
+                if i not in found and here == begin and (there - end) * (end - begin) >= 0:
+                    found.add(i)
+                    break
+        return tuple(sorted(found))
+
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
 
