@@ -106,11 +106,16 @@ class FrequencyResponse:
         return np.array([s.merit[name] for s in self.solutions])
 
     def table(self) -> dict[str, RealArray]:
-        """Column -> ``(n,)``: frequency, amplitude of every output's harmonics, figures of merit, Newton steps."""
+        """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, Newton steps.
+
+        Harmonic h of an output is ``Re((re + i im) exp(i h omega t))``.
+        """
         columns = {"frequency [Hz]": self.frequencies}
         for name in self.solutions[0].problem.model.outputs if self.solutions else ():
             for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
                 columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
+                columns[f"re {name} harmonic {h}"] = amplitude.real
+                columns[f"im {name} harmonic {h}"] = amplitude.imag
         if self.solutions:
             columns |= {name: self.figure(name) for name in self.solutions[0].merit}
         columns["Newton steps"] = np.array([s.iterations for s in self.solutions])

@@ -101,6 +101,10 @@ def test_table_and_files_hold_the_curve(tmp_path):
     np.testing.assert_array_equal([float(row["frequency [Hz]"]) for row in rows], FREQUENCIES)
     amplitudes = [float(row["|tip| harmonic 1"]) for row in rows]
     np.testing.assert_array_equal(amplitudes, np.abs(curve.output("tip")[:, 1]))
+    for h in curve.orders:
+        complex_ = [complex(float(row[f"re tip harmonic {h}"]), float(row[f"im tip harmonic {h}"])) for row in rows]
+        np.testing.assert_array_equal(complex_, curve.output("tip")[:, h])
+    assert np.abs(curve.output("tip")[:, 1].imag).max() > 0.1 * max(amplitudes), "there is a phase to keep"
     np.testing.assert_array_equal([float(row["J_T"]) for row in rows], curve.figure("J_T"))
     with h5py.File(tmp_path / "frequency_response.h5") as file:
         np.testing.assert_array_equal(file["curve_0/forces"][()], [s.forces for s in curve.solutions])
