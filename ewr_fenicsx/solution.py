@@ -198,9 +198,11 @@ class PeriodicSolution:
 
     @cached_property
     def merit(self) -> dict[str, float]:
-        """Figures of merit: violations of the laws, energies over a period, sliding, separation, RMS of outputs.
+        """Figures of merit by name; docs/method.md defines each.
 
-        Violations are looked for between the samples as well, where no law is enforced.
+        Violations of the laws [m, N, over the largest limit], looked for between the samples as well, where no law is
+        enforced; energies over a period [J] and their imbalance [-]; sliding a cycle and mean gap [m], means over the
+        pairs; RMS of outputs in their own units.
         """
         problem, model = self.problem, self.problem.model
         omega = problem.omega or 1.0

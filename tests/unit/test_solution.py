@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from ewr_fenicsx.indicators import (
     measure_sliding,
     measure_work,
 )
-from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
+from ewr_fenicsx.solution import COARSE_ENERGY, COARSE_TENSION, FINE, HISTORIES, PeriodicSolution
 
 SAMPLES = 96
 
@@ -217,6 +219,14 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["rms_tip"] == pytest.approx(np.std(x @ model.outputs["tip"]), rel=1e-10)
     work, lost = merit["excitation_work"], merit["viscous_dissipation"] + rubbed
     assert merit["energy_error"] == pytest.approx((work - lost) / max(work, lost), abs=1e-12)
+
+
+def test_every_figure_is_defined_in_the_method(rubbing):
+    page = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| `(\w+)` \| (.+?) \| .+ \|$", page.split("## Figures of merit")[1].split("\n## ")[0], re.M)
+    assert [name.replace("NAME", "tip") for name, _ in table] == list(rubbing.merit)
+    page_limits = f"{COARSE_ENERGY:.0%} of the energy, {COARSE_TENSION:.0%} of the largest force".replace("%", " %")
+    assert page_limits in page and f"at {FINE} samples" in page
 
 
 def test_violations_between_the_samples_are_seen(rubbing):
