@@ -139,6 +139,7 @@ def solve_to_accuracy(
     loaded = [h for h, f in problem.loads.items() if np.any(f)]
     top, density, dropped = max([first, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
     levels: list[Level] = []
+    tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
     solution, estimate, limit = start, None, ""
     while not limit:
         posed = pose_level(problem, top, density, dropped)
@@ -149,6 +150,8 @@ def solve_to_accuracy(
                 raise
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
             break
+        tried += tuple(f"harmonics up to {top}: {rung}" for rung in found.fallbacks)
+        found = replace(found, fallbacks=tried)
         before, solution = solution if levels else None, found
         estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(

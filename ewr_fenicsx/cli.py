@@ -100,6 +100,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
                 overwrite=arguments.overwrite,
                 seconds=study.seconds,
                 write_more=study.write,
+                facts=study.facts,
             )
     if comm.rank == 0:
         print(study.told, list_files(files), sep="\n\n")
@@ -171,6 +172,7 @@ def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Pa
 def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
     """What a chain holds, name -> figure."""
     from ewr_fenicsx.balance import HarmonicBalance
+    from ewr_fenicsx.effects import leaves_choice
     from ewr_fenicsx.symmetry import leave_out_idle
 
     reduction, interface = chain.reduction, chain.interface
@@ -179,15 +181,20 @@ def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
     orders = ", ".join(map(str, problem.basis.orders))
     system = leave_out_idle(problem).system
     unknowns = HarmonicBalance(system).size if system.laws else 0
+    waves = f"{orders} of {problem.frequency:g} Hz, {problem.basis.samples} samples"
+    counted, kept = f"{unknowns} of the contact solve", f"{len(modes)} fixed-interface modes"
+    if leaves_choice(chain.scene):
+        asked = f"chosen by the solver for accuracy = {chain.scene.solver.accuracy:g}"
+        waves, counted, kept = f"{asked}, at {problem.frequency:g} Hz", asked, f"{kept} to begin with,"
     return {
         "nodes": f"{chain.structure.space.dofmap.index_map.size_global}",
         "cells": f"{chain.mesh.domain.topology.index_map(2).size_global}, smallest scaled Jacobian {quality:.2f}",
         "pairs": f"{len(interface.area)} ({', '.join(pairs)})",
-        "modes": f"{len(modes)} fixed-interface modes up to {max(modes):.0f} Hz",
+        "modes": f"{kept} up to {max(modes):.0f} Hz",
         "first full-stick mode": f"{reduction.full_stick.frequency[0]:.1f} Hz",
         "coordinates": f"{reduction.model.size}, {reduction.model.rigid_modes.shape[1]} rigid-body modes",
-        "harmonics": f"{orders} of {problem.frequency:g} Hz, {problem.basis.samples} samples",
-        "unknowns": f"{unknowns} of the contact solve",
+        "harmonics": waves,
+        "unknowns": counted,
     }
 
 

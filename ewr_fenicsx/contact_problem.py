@@ -43,7 +43,8 @@ class ContactProblem:
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.
 
     Raises:
-        ModelError: A frequency, weight, load or wear that makes no sense, or loads at harmonics that are not kept.
+        ModelError: A frequency, weight, load or wear that makes no sense, loads at harmonics that are not kept, or
+            pairs that may part without harmonic 0.
     """
 
     model: ReducedModel
@@ -73,6 +74,11 @@ class ContactProblem:
             raise ModelError(
                 f"the model is loaded at harmonics {missing}, the problem keeps only {self.basis.orders}; "
                 "add them to harmonics or remove the load"
+            )
+        if 0 not in self.basis.orders and np.any(self.opens):
+            raise ModelError(
+                f"pair {int(np.argmax(self.opens))} may part, and the problem keeps only harmonics "
+                f"{self.basis.orders}: a normal force without a mean pulls as much as it pushes; add 0 to harmonics"
             )
 
     @cached_property

@@ -25,7 +25,7 @@ class Effect:
         name: What people call it.
         on: Whether the scene has it.
         why: Which entries say so.
-        unknowns: Unknowns that it adds to the contact solve; None where that is not known yet.
+        unknowns: Unknowns that it adds to the contact solve; None where that is not known yet, or left to the solver.
         rows: Contact rows that it adds; None where that is not known yet.
         share: Of the time of the last run; None where there is none, or none to speak of.
     """
@@ -50,13 +50,20 @@ def list_effects(
     """
     costs = count_costs(problem) if problem else {}
     total = sum(unknowns for unknowns, _ in costs.values())
+    forget = lambda effect: replace(effect, unknowns=None) if leaves_choice(scene) else effect  # noqa: E731
     for effect in _list_bare(scene, problem):
         if problem:
             unknowns, rows = costs.pop(effect.name, (0, 0))
             effect = replace(effect, unknowns=unknowns, rows=rows)
-        yield _time(effect, seconds, total)
+        yield forget(_time(effect, seconds, total))
     for name, (unknowns, rows) in costs.items():  # laws of the user's own
-        yield _time(Effect(name, True, "a law registered outside the package", unknowns, rows), seconds, total)
+        effect = Effect(name, True, "a law registered outside the package", unknowns, rows)
+        yield forget(_time(effect, seconds, total))
+
+
+def leaves_choice(scene: Scene) -> bool:
+    """Whether harmonics and samples, and so the unknowns, are left to the solver."""
+    return scene.solver.accuracy is not None and bool(scene.frequencies)
 
 
 def count_costs(problem: ContactProblem) -> dict[str, tuple[int, int]]:
@@ -145,6 +152,11 @@ def _list_loads(scene: Scene) -> Iterator[Effect]:
 
 def _tell_harmonics(scene: Scene, problem: ContactProblem | None) -> Effect:
     idle = find_idle_harmonics(problem) if problem else None
+    if leaves_choice(scene):
+        why = f"solver.accuracy = {scene.solver.accuracy:g} chooses the harmonics"
+        return Effect(
+            "odd harmonics only", bool(idle and idle.orders), f"{idle.why}; {why}" if idle and idle.why else why
+        )
     if idle and idle.orders:
         why = f"{idle.why}; harmonics {', '.join(map(str, idle.orders))} left out"
         return Effect("odd harmonics only", bool(oscillating_loads(scene)), why)

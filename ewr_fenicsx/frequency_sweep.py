@@ -74,6 +74,18 @@ class FrequencyResponse:
         """Harmonics that any of the solutions has, ``n_h`` of them."""
         return list_orders(self.solutions)
 
+    @property
+    def breaks(self) -> tuple[int, ...]:
+        """Solutions after which the curve is broken by a jump, by their number."""
+        found = set()
+        for jump in self.jumps:
+            begin, end = jump.frequency
+            for i, (here, there) in enumerate(pairwise(self.frequencies)):
+                if i not in found and here == begin and (there - end) * (end - begin) >= 0:
+                    found.add(i)
+                    break
+        return tuple(sorted(found))
+
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
 
@@ -94,11 +106,16 @@ class FrequencyResponse:
         return np.array([s.merit[name] for s in self.solutions])
 
     def table(self) -> dict[str, RealArray]:
-        """Column -> ``(n,)``: frequency, amplitude of every output's harmonics, figures of merit, Newton steps."""
+        """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, Newton steps.
+
+        Harmonic h of an output is ``Re((re + i im) exp(i h omega t))``.
+        """
         columns = {"frequency [Hz]": self.frequencies}
         for name in self.solutions[0].problem.model.outputs if self.solutions else ():
             for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
                 columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
+                columns[f"re {name} harmonic {h}"] = amplitude.real
+                columns[f"im {name} harmonic {h}"] = amplitude.imag
         if self.solutions:
             columns |= {name: self.figure(name) for name in self.solutions[0].merit}
         columns["Newton steps"] = np.array([s.iterations for s in self.solutions])

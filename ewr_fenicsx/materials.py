@@ -78,7 +78,11 @@ class ModalRatios:
 
 @dataclass(frozen=True)
 class PerMode:
-    """The same ``ratio`` of critical damping for each full-stick mode of the reduced model."""
+    """The same ``ratio`` of critical damping for each mode of the reduced model with its joint open.
+
+    Modes of the joint closed or stuck have at most this ratio, and far less where it holds a body that floats without
+    it: rigid motions are not damped.
+    """
 
     ratio: float
 

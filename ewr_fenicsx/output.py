@@ -57,6 +57,7 @@ def write_results(
     overwrite: bool = False,
     seconds: Mapping[str, float] | None = None,
     write_more: Callable[[Path], None] | None = None,
+    facts: Mapping[str, object] | None = None,
 ) -> tuple[Path, ...]:
     """Writes everything that there is to say of a solution.
 
@@ -67,6 +68,7 @@ def write_results(
         overwrite: Whether an earlier result folder may be replaced.
         seconds: Time of the stages after the chain; None: that of the one solve.
         write_more: Writes further files into the folder it is given; called on every rank.
+        facts: Further entries of the summary, ready for JSON.
 
     Returns:
         The files written, in ``folder``. The same on every rank.
@@ -89,7 +91,7 @@ def write_results(
             chain.reduction.model.save(draft / "reduced_model.h5")
             write_pairs(draft / "pairs.csv", chain.interface, solution)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
-            summary = summarise(chain, solution) | {"peak_memory_MB": memory, "files": files}
+            summary = summarise(chain, solution) | dict(facts or {}) | {"peak_memory_MB": memory, "files": files}
             compiled = _compat.measure_compilation() - compiled
             own = {JIT: compiled, "write": time.perf_counter() - start - compiled}
             summary["seconds"] = add_times(chain.seconds, seconds or {"solve": solution.seconds}, own)
@@ -224,6 +226,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "reason": str(solution.reason),
             "iterations": solution.iterations,
             "fallbacks": [str(rung) for rung in solution.fallbacks],
+            "cautions": list(solution.cautions),
             "residual": solution.residual,
             "unknowns": solution.unknowns,
             "frequency_Hz": solution.problem.frequency,

@@ -6,7 +6,7 @@ draws; the other ranks only take part in the gathering.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import dolfinx
@@ -214,12 +214,15 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     figure.savefig(path, dpi=DPI)
 
 
-def draw_curves(path: Path, across: str, x: RealArray, series: Mapping[str, RealArray]) -> None:
-    """Some figures along a sweep or over cycles, one line each."""
+def draw_curves(
+    path: Path, across: str, x: RealArray, series: Mapping[str, RealArray], breaks: Sequence[int] = ()
+) -> None:
+    """Some figures along a sweep or over cycles, one line each; after the points ``breaks`` lines begin anew."""
+    cut = lambda values: np.insert(np.asarray(values, dtype=float), np.array(breaks, dtype=int) + 1, np.nan)  # noqa: E731
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
     for k, (name, values) in enumerate(series.items()):
-        axes.plot(x, values, ".-", color=FLANK_COLOURS[k % len(FLANK_COLOURS)], linewidth=1.2, label=name)
+        axes.plot(cut(x), cut(values), ".-", color=FLANK_COLOURS[k % len(FLANK_COLOURS)], linewidth=1.2, label=name)
     axes.set_xlabel(across)
     axes.set_ylim(bottom=0.0)
     axes.legend()

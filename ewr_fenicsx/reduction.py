@@ -248,7 +248,7 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
     mass, stiffness, damping = (project(m) for m in (structure.mass, structure.stiffness, structure.damping))
     normal, tangential = rows(interface.normal_gap), rows(interface.tangential_slip)
     if structure.modal_damping is not None:
-        damping = _damp_modes(mass, stiffness, np.vstack([normal, tangential]), structure.modal_damping)
+        damping = _damp_modes(mass, stiffness, structure.modal_damping)
     load: dict[int, np.ndarray] = {}
     for entry in structure.loads:
         amplitude = entry.amplitude * _sum(basis.T @ entry.vector.array, comm)
@@ -258,11 +258,15 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
     return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
 
 
-def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, ratio: float) -> np.ndarray:
-    """``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the joint in full stick."""
-    stuck = scipy.linalg.null_space(held)
-    values, vectors = scipy.linalg.eigh(stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck)
-    weighted = mass @ stuck @ vectors
+def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, ratio: float) -> np.ndarray:
+    """``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the open joint.
+
+    These span all motions. A mode ``phi = Phi c`` of the joint held in any way has ``phi^T D phi = 2 ratio sum(c_i^2
+    omega_i)``, by Jensen's inequality at most ``2 ratio omega``: contact never raises the ratio above the one asked
+    for. Modes of the closed joint would leave out the motions that it forbids, and overdamp them where it opens.
+    """
+    values, vectors = scipy.linalg.eigh(stiffness, mass)
+    weighted = mass @ vectors
     damping = (weighted * (2 * ratio * np.sqrt(np.maximum(values, 0)))) @ weighted.T
     return 0.5 * (damping + damping.T)
 

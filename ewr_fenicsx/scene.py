@@ -87,10 +87,14 @@ class RatioDamping(Section):
 
 
 class ModalDamping(Section):
-    """The same ratio of critical damping for every mode of the reduced basis."""
+    """The same ratio of critical damping for every mode of the open joint.
+
+    Modes of the closed joint have at most that, and the lowest far less where it holds a body that floats without it:
+    rigid motions are not damped. Where the closed joint's damping is known, give it as `ratios`.
+    """
 
     kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")
-    ratio: Number = entry(..., "-", "Ratio of critical damping of every mode.", ge=0, lt=1)
+    ratio: Number = entry(..., "-", "Ratio of critical damping of every mode of the open joint.", ge=0, lt=1)
 
 
 class Supports(Section):
@@ -217,7 +221,7 @@ class Solver(Section):
         lt=1,
     )
     harmonics: Integer | tuple[Integer, ...] = entry(
-        5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics."
+        5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics; contact that opens needs 0."
     )
     samples: Integer | None = entry(None, "-", "Time samples a period; by default enough for the harmonics.", ge=3)
     rho_normal: Number | None = entry(

@@ -82,6 +82,13 @@ def _check_harmonics(scene: Scene) -> Iterator[str]:
                 f'"{name}" acts; include it'
             )
     static = [name for name, load in scene.loads.items() if load.harmonic == 0]
+    opening = [where for where, laws in laws_in_force(scene).items() if find_kind("normal", laws.normal).opens]
+    if opening and not static and 0 not in scene.harmonics and scene.solver.accuracy is None:
+        yield (
+            f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, and {opening[0]}.normal = "
+            f'"{laws_in_force(scene)[opening[0]].normal}" may part: a normal force without a mean pulls as much as it '
+            "pushes; include 0"
+        )
     if static and not scene.supports.clamp:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '

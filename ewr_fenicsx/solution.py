@@ -16,6 +16,9 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
+FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
+COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
+LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 
 
@@ -195,12 +198,19 @@ class PeriodicSolution:
 
     @cached_property
     def merit(self) -> dict[str, float]:
-        """Figures of merit: violations of the laws, energies over a period, sliding, separation, RMS of outputs."""
+        """Figures of merit by name; docs/method.md defines each.
+
+        Violations of the laws [m, N, over the largest limit], looked for between the samples as well, where no law is
+        enforced; energies over a period [J] and their imbalance [-]; sliding a cycle and mean gap [m], means over the
+        pairs; RMS of outputs in their own units.
+        """
         problem, model = self.problem, self.problem.model
         omega = problem.omega or 1.0
         loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
         viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
         sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
+        seen = ("gap", "normal_force", "friction_force")
+        fine = {name: self.history(name, max(problem.basis.samples, FINE)) for name in seen}
         friction, unilateral = problem.friction, problem.opens
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
@@ -212,11 +222,11 @@ class PeriodicSolution:
         )
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
-            "penetration": max(0.0, -float(sampled["gap"][:, unilateral].min(initial=0.0))),
-            "tension": max(0.0, -float(sampled["normal_force"][:, unilateral].min(initial=0.0))),
-            "largest_normal_force": float(sampled["normal_force"].max(initial=0.0)),
+            "penetration": max(0.0, -float(fine["gap"][:, unilateral].min(initial=0.0))),
+            "tension": max(0.0, -float(fine["normal_force"][:, unilateral].min(initial=0.0))),
+            "largest_normal_force": float(fine["normal_force"].max(initial=0.0)),
             "cone_violation": indicators.measure_cone_violation(
-                sampled["friction_force"][:, slides], sampled["normal_force"][:, slides], friction[slides]
+                fine["friction_force"][:, slides], fine["normal_force"][:, slides], friction[slides]
             ),
             "excitation_work": work,
             "viscous_dissipation": dissipated,
@@ -228,6 +238,33 @@ class PeriodicSolution:
         for name in model.outputs:
             figures[f"rms_{name}"] = indicators.measure_rms(self.output(name), self.orders)
         return figures
+
+    @cached_property
+    def cautions(self) -> tuple[str, ...]:
+        """What speaks against trusting a converged solution as it is, a line each."""
+        if not self.converged:
+            return ()
+        merit, coarse = self.merit, []
+        exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
+        swinging = sum(
+            np.pi * h * float(np.abs(self.problem.loads.get(h, 0)) @ np.abs(x))
+            for h, x in zip(self.orders, self.coordinates, strict=True)
+            if h in self.problem.loads
+        )
+        if abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
+            coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
+        if merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
+            coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
+        lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
+        if self.fallbacks:
+            lines.append(
+                "found by a fallback: there may be other solutions, and the stability of this one is not known"
+            )
+        return tuple(lines)
+
+    def list_reservations(self) -> list[str]:
+        """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""
+        return [*(f"fallback: {rung}" for rung in self.fallbacks), *self.cautions]
 
     def summary(self) -> str:
         """A few lines for people."""
@@ -242,5 +279,5 @@ class PeriodicSolution:
         ]
         if self.left_out:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
-        lines += [f"  fallback: {rung}" for rung in self.fallbacks]
+        lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)

@@ -6,13 +6,13 @@ Sweeps and wear are imported where a scene asks for them, and nowhere else.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, solve_to_accuracy
+from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
@@ -37,6 +37,8 @@ class Study:
         curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
         told: A few lines for people.
         write: Writes the study's own files into a folder; collective.
+        facts: What decides whether to trust the run, for its summary: accuracy, breaks and gaps of a sweep, why wear
+            stopped; ready for JSON.
     """
 
     chain: Chain
@@ -45,6 +47,7 @@ class Study:
     curve: tuple[RealArray, RealArray] | None
     told: str
     write: Callable[[Path], None]
+    facts: Mapping[str, object] = field(default_factory=dict)
 
 
 def run_study(chain: Chain, progress: Progress | None = None) -> Study:
@@ -106,9 +109,15 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
         found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
-    return Study(
-        modes.chain_of(found.solution), found.solution, watch.seconds, None, found.summary(), lambda folder: None
-    )
+    chain, facts = modes.chain_of(found.solution), {"accuracy": _list_accuracy(found)}
+    return Study(chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None, facts)
+
+
+def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
+    """What came of an accuracy that was asked for; causes that were not looked at are null."""
+    causes = {name: None if np.isnan(error) else float(error) for name, error in asdict(found.estimate).items()}
+    estimate = {"total": found.estimate.total} | causes
+    return {"asked": found.accuracy, "reached": found.reached, "limit": found.limit, "estimate": estimate}
 
 
 def _sweep(chain: Chain, watch: Stopwatch) -> Study:
@@ -144,7 +153,7 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
         if comm.rank:
             return
         curve.write_csv(folder / "frequency_response.csv")
-        draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series)
+        draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series, curve.breaks)
 
     told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
     told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
@@ -152,7 +161,19 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
-    return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write)
+    facts: dict[str, object] = {
+        "sweep": {
+            "solutions": len(curve.solutions),
+            "missing_Hz": list(curve.missing),
+            "jumps": [{"from_Hz": j.frequency[0], "to_Hz": j.frequency[1], "why": j.why} for j in curve.jumps],
+        }
+    }
+    if curve.accurate:
+        short = [{"frequency_Hz": f.solution.problem.frequency} | _list_accuracy(f) for f in curve.accurate]
+        short = [found for found in short if not found["reached"]]
+        worst = max(found.estimate.total for found in curve.accurate)
+        facts["accuracy"] = {"asked": accuracy, "reached": not short, "estimate": {"total": worst}, "short": short}
+    return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write, facts)
 
 
 def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
@@ -234,15 +255,22 @@ def _wear(chain: Chain, watch: Stopwatch) -> Study:
         f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
         f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
     ]
+    facts: dict[str, object] = {
+        "wear": {"cycles": int(history.cycles[-1]), "solves": history.solves, "stopped": history.stopped}
+    }
     if accuracy is not None:
-        tops = [s.orders[-1] for s in history.solutions]
+        tops, worst = [s.orders[-1] for s in history.solutions], float(np.nanmax(history.estimates))
         told.append(
-            f"  estimated errors up to {np.nanmax(history.estimates):.1g} of {accuracy:g} asked, highest harmonics "
+            f"  estimated errors up to {worst:.1g} of {accuracy:g} asked, highest harmonics "
             f"{min(tops)} to {max(tops)}, {len(chain.reduction.modal_coordinates)} modes"
         )
         short = history.cycles[history.estimates > accuracy]
         told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
+        facts["accuracy"] = {"asked": accuracy, "reached": not short.size, "estimate": {"total": worst}}
+        facts["accuracy"] |= {"short_after_cycles": short.tolist()}
     told += [f"  stopped {history.stopped}"] if history.stopped else []
-    last = history.solutions[-1]
+    first, last = history.solutions[0], history.solutions[-1]
+    told += [f"  the first solve: {line}" for line in first.list_reservations()]
+    facts["wear"] |= {"reservations_of_first_solve": first.list_reservations()}
     course = history.cycles, history.depth.mean(axis=1)
-    return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write)
+    return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write, facts)

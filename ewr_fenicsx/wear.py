@@ -71,7 +71,7 @@ class WearHistory:
     """What a joint wears.
 
     Attributes:
-        problem: The unworn problem.
+        problem: The problem at the start: unworn, or worn by its ``wear``.
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
         steps: What was kept: cycle, worn depth, depth worn by the next cycle, solution.
         solves: Periodic solves that it took.
@@ -93,13 +93,13 @@ class WearHistory:
 
     @cached_property
     def depth(self) -> RealArray:
-        """``(steps, K_c)`` worn depth [m]."""
+        """``(steps, K_c)`` worn depth, that of a joint worn from the start included [m]."""
         return np.array([step.depth for step in self.steps])
 
     @property
     def gap(self) -> RealArray:
-        """``(steps, K_c)`` initial gap plus worn depth [m]."""
-        return self.problem.clearance + self.depth
+        """``(steps, K_c)`` initial gap plus worn depth, as the step was solved with it [m]."""
+        return np.array([step.solution.problem.clearance for step in self.steps])
 
     @property
     def rate(self) -> RealArray:

@@ -260,6 +260,20 @@ def test_info_counts_without_solving(capsys, monkeypatch):
     assert {"separation", "friction", "static load", "harmonic load"} <= set(table)
 
 
+def test_info_counts_no_unknowns_that_an_accuracy_chooses(tmp_path, capsys):
+    text = SCENE.read_text().replace("../geometry", str(SCENE.parents[1] / "geometry"))
+    (tmp_path / "scene.toml").write_text(f"{text}\n[solver]\naccuracy = 0.01\n")
+    assert main(["info", str(tmp_path / "scene.toml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    row = lambda name: next(" ".join(line.split()[1:]) for line in lines if line.startswith(name))  # noqa: E731
+    assert row("harmonics") == "chosen by the solver for accuracy = 0.01, at 1000 Hz"
+    assert row("unknowns") == "chosen by the solver for accuracy = 0.01"
+    assert row("modes").startswith("30 fixed-interface modes to begin with, up to")
+    assert row("separation").endswith(" 40"), "rows; no unknowns"
+    assert row("separation").split()[-2] == '"unilateral"'
+    assert "883" not in "\n".join(lines) and "0, 1, 2, 3, 4, 5" not in "\n".join(lines)
+
+
 def test_demo_runs_and_its_assertions_hold():
     done = run_python(ROOT / "demos" / "blade_root.py")
     assert done.returncode == 0, done.stderr

@@ -7,16 +7,19 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import gmsh
 import h5py
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx import frequency_sweep, load_scene, solve, wear
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.following import Jump
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = ROOT / "tests" / "geometry" / "two_blocks.py"
@@ -199,6 +202,62 @@ def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
     peak = max(rows, key=lambda row: float(row["rms_tip"]))
     assert summary["solution"]["frequency_Hz"] == float(peak["frequency [Hz]"])
     assert abs(tip_amplitude(summary)) == pytest.approx(float(peak["|tip| harmonic 1"]), rel=1e-12)
+
+
+def test_a_summary_holds_what_decides_on_the_trust_in_a_curve(tmp_path, monkeypatch):
+    """Missing points and jumps, at which the picture's line ends as well."""
+    drawn = []
+    save = Figure.savefig
+    keep = lambda figure, path, **more: (drawn.append(figure), save(figure, path, **more))  # noqa: E731
+    monkeypatch.setattr(Figure, "savefig", keep)
+    jump = Jump((3000.0, 4000.0), "no branch led on")
+
+    sweep = frequency_sweep.frequency_response
+    broken = lambda *given, **named: replace(sweep(*given, **named), missing=(4500.0,), jumps=(jump,))  # noqa: E731
+    monkeypatch.setattr(frequency_sweep, "frequency_response", broken)
+    range_ = "frequency = { from = 2000, to = 6000, points = 5 }"
+    (tmp_path / "scene.toml").write_text(SCENE.format(source=BLOCKS).replace("frequency = 1000.0", range_))
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["sweep"]
+    assert facts["missing_Hz"] == [4500.0] and facts["solutions"] == 5
+    assert facts["jumps"] == [{"from_Hz": 3000.0, "to_Hz": 4000.0, "why": "no branch led on"}]
+    lines = (line for figure in drawn for axes in figure.axes for line in axes.get_lines())
+    x, y = next(line for line in lines if line.get_label() == "rms_tip").get_data()
+    np.testing.assert_array_equal(x, [2000, 3000, np.nan, 4000, 5000, 6000])
+    assert np.isnan(y[2]) and np.isfinite(np.delete(y, 2)).all()
+
+
+def test_a_summary_says_how_accurate_the_outputs_are(run, tmp_path):
+    text = SCENE.format(source=BLOCKS).replace("harmonics = 3", "accuracy = 0.02")
+    (tmp_path / "scene.toml").write_text(text.replace("[50.0, 0.0]", "[150.0, 0.0]"))
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["accuracy"]
+    assert facts["asked"] == 0.02 and facts["reached"] is True and facts["limit"] == ""
+    assert 0 < facts["estimate"]["total"] <= 0.02 and facts["estimate"]["modes"] > 0
+    assert "accuracy" not in run()[0], "none was asked for"
+
+
+def test_a_summary_says_why_wear_stopped(tmp_path, monkeypatch):
+    evolve = wear.evolve_wear
+    stop = lambda *given, **named: replace(evolve(*given, **named), stopped="after 2 cycles: enough")  # noqa: E731
+    monkeypatch.setattr(wear, "evolve_wear", stop)
+    (tmp_path / "scene.toml").write_text(SCENE.format(source=BLOCKS) + "[wear]\ncycles = 2\ncoefficient = 1e-12\n")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]
+    assert facts["stopped"] == "after 2 cycles: enough" and facts["cycles"] == 2 and facts["solves"] >= 2
+    assert facts["reservations_of_first_solve"] == []
+
+
+def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):
+    """The worn joint is found from there without any."""
+    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 2\ncoefficient = 1e-12\n"
+    (tmp_path / "scene.toml").write_text(text)
+    late = lambda *given, **named: replace(solve(*given, **named), fallbacks=("one: no", "two: yes"))  # noqa: E731
+    monkeypatch.setattr("ewr_fenicsx.wear.solve", late)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    out = capsys.readouterr().out
+    assert "the first solve: fallback: one: no" in out and "the first solve: fallback: two: yes" in out
+    assert "the first solve: found by a fallback: there may be other solutions" in " ".join(out.split())
 
 
 def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):

@@ -119,6 +119,20 @@ def test_what_cannot_be_reached_is_said():
     assert "NOT as accurate as asked" in found.summary()
 
 
+def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
+    """All later solves start at what it found."""
+    rungs = ("growing harmonics: fell no further", "time stepping: residual below the tolerance")
+
+    def solve_late(problem, start, tolerance):
+        return replace(solve(problem, start, tolerance), fallbacks=rungs if start is None else ())
+
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", solve_late)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.01)
+    assert len(found.levels) > 1
+    assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)
+    assert "there may be other solutions" in found.summary()
+
+
 def test_unknowns_are_limited():
     found = solve_to_accuracy(rub_and_lift_off(), 1e-4, most_unknowns=40)
     assert "take more than 40 unknowns" in found.limit

@@ -62,15 +62,17 @@ def test_floating_bodies_add_their_rigid_motions_unless_bonds_hold_them(normal, 
     balance = HarmonicBalance(problem.system)
     rows = problem.system.rows.shape[0]
     assert balance.size == rows * FULL + rigid
-    assert (
-        HarmonicBalance(replace(problem, harmonics=(1, 3), model=replace(problem.model, load={})).system).size
-        == rows * 4
-    )
+
+
+def test_rigid_motions_do_not_count_without_a_mean():
+    model = replace(dovetail(), load={})
+    problem = ContactProblem(model, lay_down("bonded", "coulomb"), 200.0, (1, 3))
+    assert HarmonicBalance(problem.system).size == problem.system.rows.shape[0] * 4
 
 
 @pytest.mark.parametrize("harmonics, coefficients", [(0, 1), (5, 11), ((1, 3, 5), 6), ((0, 2, 5), 5)])
 def test_unknowns_by_harmonics(harmonics, coefficients):
-    problem = ContactProblem(random_structure(), ContactLaws(), 0.1, harmonics)
+    problem = ContactProblem(random_structure(), ContactLaws("bonded", "coulomb"), 0.1, harmonics)
     assert HarmonicBalance(problem.system).size == 6 * coefficients
 
 
@@ -165,6 +167,10 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
         ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
         ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),
         ({"harmonics": (1, 3)}, r"loaded at harmonics \[0\], the problem keeps only \(1, 3\)"),
+        (
+            {"harmonics": (1, 3), "load": {1: np.ones(4)}},
+            r"pair 0 may part, and the problem keeps only harmonics \(1, 3\): .* pulls as much as it pushes; add 0",
+        ),
         ({"samples": 10}, "samples = 10 cannot resolve harmonic 5; give at least 11"),
     ],
 )

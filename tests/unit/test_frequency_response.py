@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -22,7 +23,8 @@ from ewr_fenicsx import (
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import agree
+from ewr_fenicsx.following import Jump, agree
+from ewr_fenicsx.frequency_sweep import FrequencyResponse
 from ewr_fenicsx.refining import join_points
 from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
 
@@ -99,6 +101,10 @@ def test_table_and_files_hold_the_curve(tmp_path):
     np.testing.assert_array_equal([float(row["frequency [Hz]"]) for row in rows], FREQUENCIES)
     amplitudes = [float(row["|tip| harmonic 1"]) for row in rows]
     np.testing.assert_array_equal(amplitudes, np.abs(curve.output("tip")[:, 1]))
+    for h in curve.orders:
+        complex_ = [complex(float(row[f"re tip harmonic {h}"]), float(row[f"im tip harmonic {h}"])) for row in rows]
+        np.testing.assert_array_equal(complex_, curve.output("tip")[:, h])
+    assert np.abs(curve.output("tip")[:, 1].imag).max() > 0.1 * max(amplitudes), "there is a phase to keep"
     np.testing.assert_array_equal([float(row["J_T"]) for row in rows], curve.figure("J_T"))
     with h5py.File(tmp_path / "frequency_response.h5") as file:
         np.testing.assert_array_equal(file["curve_0/forces"][()], [s.forces for s in curve.solutions])
@@ -235,6 +241,15 @@ def test_a_curve_that_falls_off_its_branch_is_broken_there():
     assert [jump.frequency for jump in jumps] == [(0.165, 0.166), (0.166, 0.167)]
     kept, jumps = join_points(upper.solutions, fallen, [0.160, 0.165, 0.167])
     assert kept == [fallen[0], fallen[1], fallen[3]] and jumps == []
+
+
+def test_breaks_of_a_curve_are_where_its_jumps_are():
+    """Between the points that a jump names, or the first one beyond; each jump once, also where a curve runs back."""
+    points = [SimpleNamespace(problem=SimpleNamespace(frequency=f)) for f in (1.0, 2.0, 3.0, 2.5, 2.0, 3.0, 5.0)]
+    breaks = lambda *ends: FrequencyResponse(tuple(points), tuple(Jump(e, "") for e in ends), ()).breaks  # noqa: E731
+    assert breaks() == ()
+    assert breaks((2.0, 3.0)) == (1,) and breaks((2.0, 3.0), (2.0, 3.0)) == (1, 4)
+    assert breaks((3.0, 2.5)) == (2,) and breaks((3.0, 4.0)) == (5,)
 
 
 def test_accurate_curves_are_kept_in_files(tmp_path):

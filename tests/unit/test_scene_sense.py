@@ -166,6 +166,10 @@ def test_a_static_scene_needs_no_frequency(read):
             'solver.harmonics = [0, 2] leave out harmonic 1, at which the load "shake" acts; include it',
         ),
         (SCENE + "[solver]\nharmonics = 0", "solver.harmonics = [0] leave out harmonic 1"),
+        (
+            HEAD + SHAKE + "[excitation]\nfrequency = 900.0\n[solver]\nharmonics = [1, 2, 3]",
+            'solver.harmonics = [1, 2, 3] leave out harmonic 0, and contact.normal = "unilateral" may part: a normal',
+        ),
     ],
 )  # fmt: skip
 def test_contradictions_are_errors_that_say_what_was_meant(read, text, expected):

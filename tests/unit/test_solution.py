@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from ewr_fenicsx.indicators import (
     measure_sliding,
     measure_work,
 )
-from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
+from ewr_fenicsx.solution import COARSE_ENERGY, COARSE_TENSION, FINE, HISTORIES, PeriodicSolution
 
 SAMPLES = 96
 
@@ -194,8 +196,7 @@ def test_unknown_names_are_hinted_at(rubbing):
 
 def test_figures_of_merit_are_those_of_the_histories(rubbing):
     merit, count = rubbing.merit, rubbing.problem.basis.samples
-    h = {name: rubbing.history(name, count)[:, 0] for name in HISTORIES}
-    dt = 1 / rubbing.problem.frequency / count
+    h = {name: rubbing.history(name, max(count, 1024))[:, 0] for name in HISTORIES}
     assert merit["penetration"] == pytest.approx(max(0.0, -h["gap"].min()), rel=1e-12) and merit["penetration"] > 0
     assert merit["tension"] == pytest.approx(max(0.0, -h["normal_force"].min()), rel=1e-12)
     assert merit["largest_normal_force"] == h["normal_force"].max()
@@ -203,6 +204,8 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["cone_violation"] == pytest.approx(
         (np.abs(h["friction_force"]) - limit).max() / limit.max(), rel=1e-12
     )
+    h = {name: rubbing.history(name, count)[:, 0] for name in HISTORIES}
+    dt = 1 / rubbing.problem.frequency / count
     rubbed = -np.sum(h["admissible_friction_force"] * h["slip_velocity"]) * dt
     assert merit["friction_dissipation"] == pytest.approx(rubbed, rel=1e-12) and rubbed > 0
     assert merit["J_T"] == pytest.approx(np.sum(np.abs(h["slip_velocity"])) * dt, rel=1e-12)
@@ -216,6 +219,28 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["rms_tip"] == pytest.approx(np.std(x @ model.outputs["tip"]), rel=1e-10)
     work, lost = merit["excitation_work"], merit["viscous_dissipation"] + rubbed
     assert merit["energy_error"] == pytest.approx((work - lost) / max(work, lost), abs=1e-12)
+
+
+def test_every_figure_is_defined_in_the_method(rubbing):
+    page = (Path(__file__).parents[2] / "docs" / "method.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| `(\w+)` \| (.+?) \| .+ \|$", page.split("## Figures of merit")[1].split("\n## ")[0], re.M)
+    assert [name.replace("NAME", "tip") for name, _ in table] == list(rubbing.merit)
+    page_limits = f"{COARSE_ENERGY:.0%} of the energy, {COARSE_TENSION:.0%} of the largest force".replace("%", " %")
+    assert page_limits in page and f"at {FINE} samples" in page
+
+
+def test_violations_between_the_samples_are_seen(rubbing):
+    """Just enough samples, at which the laws are enforced: the figures are those of a continuous look."""
+    few = solve(replace(rubbing.problem, samples=11))
+    h = {name: few.history(name, 20_000)[:, 0] for name in HISTORIES}
+    limit = 0.3 * np.maximum(0, h["normal_force"])
+    expected = {
+        "penetration": -h["gap"].min(),
+        "tension": -h["normal_force"].min(),
+        "cone_violation": (np.abs(h["friction_force"]) - limit).max() / limit.max(),
+    }
+    for name, value in expected.items():
+        assert few.merit[name] == pytest.approx(value, rel=0.02) and value > 0, name
 
 
 def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
@@ -257,6 +282,28 @@ def test_summary_is_for_people(rubbing):
     assert rubbing.summary().startswith("0.2 Hz, harmonics 0..5: converged in ")
     lost = replace(rubbing, converged=False, reason="too many Newton steps", fallbacks=("half the load",))
     assert "NOT converged (too many Newton steps)" in lost.summary() and "fallback: half the load" in lost.summary()
+
+
+def test_a_summary_says_where_truncation_is_coarse(rubbing):
+    """Few harmonics pull; forces that are off leave energy over; where next to none is exchanged, that is rounding."""
+    assert rubbing.cautions == () and "coarse" not in rubbing.summary()
+    coarse = solve(replace(rubbing.problem, harmonics=1))
+    assert "\n  truncation is coarse: contact pulls by up to 0.8" in coarse.summary()
+    off = replace(rubbing, forces=1.2 * rubbing.forces)
+    expected = f"truncation is coarse: energies are out of balance by {off.merit['energy_error']:.1%}"
+    assert expected in off.summary() and "out of balance" not in coarse.summary()
+    undamped = replace(dovetail(excitation=1.0), damping=np.zeros((26, 26)))
+    stuck = solve(ContactProblem(undamped, ContactLaws(friction=5.0), 200.0, 3))
+    assert abs(stuck.merit["energy_error"]) > 0.01 and stuck.cautions == ()
+
+
+def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
+    late = replace(rubbing, fallbacks=("growing harmonics: fell no further", "time stepping: residual below"))
+    lines = late.summary().splitlines()
+    assert lines[1] == "  fallback: growing harmonics: fell no further"
+    assert lines[3] == "  found by a fallback: there may be other solutions, and the stability of this one is not known"
+    assert "other solutions" not in replace(late, converged=False).summary()
+    assert "other solutions" not in rubbing.summary()
 
 
 # Invariances of the whole solve

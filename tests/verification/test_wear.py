@@ -18,6 +18,7 @@ from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measur
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.following import solve_from
+from ewr_fenicsx.wear_fields import tabulate_wear_fields
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 MEAN_PRESSURE = LOAD / (PAIRS * AREA)
@@ -61,6 +62,17 @@ def test_a_crown_wears_flat_at_the_rate_of_winkler():
     left = (1 - DECAY) ** history.cycles[:, None] * (p[0] - MEAN_PRESSURE)
     np.testing.assert_allclose(p - MEAN_PRESSURE, left, atol=SHARP * np.abs(left).max())
     np.testing.assert_allclose(history.gap - history.depth, np.broadcast_to(CROWN, history.gap.shape), atol=1e-20)
+
+
+def test_a_joint_worn_from_the_start_counts_that_wear_once():
+    """Worn flat and deep before: where the mean load presses all pairs in, the rate is that of the unworn joint."""
+    worn = 2e-6 + CROWN.max() - CROWN
+    history = evolve_wear(replace(punch(CROWN), wear=worn), 20, COEFFICIENT, keep_every=10)
+    rate = 4 * COEFFICIENT * MEAN_PRESSURE * SWING
+    expected = worn + rate * history.cycles[:, None]
+    np.testing.assert_allclose(history.depth - worn, expected - worn, atol=SHARP * 20 * rate)
+    np.testing.assert_allclose(history.gap, CROWN + expected, atol=SHARP * 20 * rate)
+    np.testing.assert_array_equal(tabulate_wear_fields(history)["worn_gap"], history.gap)
 
 
 @pytest.mark.parametrize("damped", [True, False])
