@@ -264,3 +264,16 @@ def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
     assert len(shares) == 3, "separation, the law and the floating body share the solve"
     solve_share = summary["seconds"]["solve"] / sum(summary["seconds"].values())
     assert sum(shares) == pytest.approx(100 * solve_share, abs=0.2)
+
+
+def test_a_phase_is_in_degrees(tmp_path):
+    """A quarter of a period later, and everything else is the same."""
+    outputs = []
+    for phase in (0.0, 90.0):
+        text = SCENE.format(source=BLOCKS).replace("harmonic = 1\n", f"harmonic = 1\nphase = {phase}\n")
+        (tmp_path / "scene.toml").write_text(text)
+        scene = load_scene(tmp_path / "scene.toml")
+        problem = pose_problem(scene, build_chain(scene).reduction.model)
+        outputs.append(solve(problem, tolerance=1e-12).output("tip"))
+    assert abs(outputs[0][1]) > 0
+    np.testing.assert_allclose(outputs[1], 1j ** np.arange(4) * outputs[0], atol=1e-8 * abs(outputs[0][1]))

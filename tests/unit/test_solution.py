@@ -218,6 +218,15 @@ def test_figures_of_merit_are_those_of_the_histories(rubbing):
     assert merit["energy_error"] == pytest.approx((work - lost) / max(work, lost), abs=1e-12)
 
 
+def test_figures_of_several_pairs_are_means_over_them(floating):
+    """Pairs that slide unequally, so that a mean is neither a sum nor any one of them."""
+    count, dt = floating.problem.basis.samples, 1 / 200.0 / floating.problem.basis.samples
+    slid = np.abs(floating.history("slip_velocity", count)).sum(axis=0) * dt
+    assert slid.max() > 1.5 * slid.min()
+    assert floating.merit["J_T"] == pytest.approx(slid.sum() / 6, rel=1e-12)
+    assert floating.merit["J_N"] == pytest.approx(floating.history("gap", count).mean(axis=0).sum() / 6, rel=1e-9)
+
+
 def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
     """The friction force and the velocity share their harmonics: no truncation is left in the balance."""
     assert floating.merit["friction_dissipation"] > 0.2 * floating.merit["excitation_work"]
