@@ -18,7 +18,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import Layout, demand_rows, lay_out, row_of
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
 from ewr_fenicsx.statics import find_holding
 
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
@@ -68,6 +68,8 @@ class ContactProblem:
             np.shape(self.wear) != (self.model.pairs,) or not np.all(np.asarray(self.wear) >= 0)
         ):
             raise ModelError(f"wear must be one depth >= 0 for each of the {self.model.pairs} pairs")
+        if self.load is not None:
+            object.__setattr__(self, "load", check_loads(self.load, self.model.size))
         missing = [h for h, f in self.loads.items() if h not in self.basis.orders and np.any(f)]
         if missing:
             raise ModelError(

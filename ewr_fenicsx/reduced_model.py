@@ -87,7 +87,7 @@ class ReducedModel:
         if not np.all(self.pair_area > 0):
             k = int(np.argmin(self.pair_area))
             raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
-        freeze("load", {_harmonic(h): _load(h, f, n) for h, f in self.load.items()})
+        freeze("load", check_loads(self.load, n))
         freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in self.outputs.items()})
         if self.rigid_modes is None:
             freeze("rigid_modes", find_rigid_modes(self.stiffness))
@@ -167,6 +167,15 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
 
 # The public interface calls both the field and the reader "load": an instance finds its field first, the class this.
 ReducedModel.load = staticmethod(read_reduced_model)
+
+
+def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, ComplexArray]:
+    """Loads as read-only complex vectors: harmonic -> ``(size,)`` amplitudes [N].
+
+    Raises:
+        ModelError: A harmonic, a number of entries or a value that makes no sense; the mean load is not real.
+    """
+    return {_harmonic(h): _load(h, f, size) for h, f in load.items()}
 
 
 def find_rigid_modes(stiffness: RealArray) -> RealArray:

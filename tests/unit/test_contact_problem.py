@@ -165,6 +165,10 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
         ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
         ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),
         ({"harmonics": (1, 3)}, r"loaded at harmonics \[0\], the problem keeps only \(1, 3\)"),
+        ({"load": {1: [1.0, 2.0, 3.0]}}, r"load\[1\] has 3 entries; expected 4"),
+        ({"load": {0: [1j, 0.0, 0.0, 0.0]}}, r"load\[0\] is the mean load and must be real"),
+        ({"load": {1: [np.nan, 0.0, 0.0, 0.0]}}, r"load\[1\] has entries that are not finite"),
+        ({"load": {-1: np.ones(4)}}, "harmonic -1; harmonics are whole numbers from 0"),
         ({"samples": 10}, "samples = 10 cannot resolve harmonic 5; give at least 11"),
     ],
 )
