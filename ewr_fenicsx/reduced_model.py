@@ -28,6 +28,7 @@ RealArray = np.ndarray
 ComplexArray = np.ndarray
 
 _FORMAT = "ewr_fenicsx reduced model, 1"
+_NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -36,7 +37,8 @@ class ReducedModel:
     """Matrices, contact rows and loads of a structure in ``n`` coordinates.
 
     Args:
-        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric.
+        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric,
+            positive semidefinite.
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
         tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; or None.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
@@ -45,7 +47,8 @@ class ReducedModel:
         outputs: Name -> ``(n,)`` row of a quantity to follow.
 
     Raises:
-        ModelError: Shapes disagree, a matrix is not finite or symmetric, or ``rigid_modes`` do not span the null space.
+        ModelError: Shapes disagree, a matrix is not finite, symmetric or positive semidefinite, or ``rigid_modes``
+            do not span the null space.
     """
 
     mass: RealArray
@@ -68,6 +71,7 @@ class ReducedModel:
         freeze("damping", _matrix("damping", self.damping, (n, n)))
         for name in ("mass", "stiffness"):
             _check_symmetry(name, getattr(self, name))
+        _check_mass(self.mass)
         if self.normal is None and self.tangential is None:
             raise ModelError("a reduced model needs contact rows: give normal, tangential or both")
         pairs = None
@@ -275,6 +279,20 @@ def _check_symmetry(name: str, matrix: RealArray) -> None:
         raise ModelError(
             f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
         )
+
+
+def _check_mass(mass: RealArray) -> None:
+    diagonal = np.abs(np.diag(mass))
+    floor = 1e-8 * diagonal.max(initial=1e-300)  # rounding about massless coordinates stays small on this scale
+    scale = 1 / np.sqrt(np.maximum(diagonal, floor))
+    scaled = scale[:, None] * mass * scale
+    try:
+        np.linalg.cholesky(scaled + _NEGATIVE * np.eye(len(mass)))
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            f"mass is not positive semidefinite: scaled eigenvalue {np.linalg.eigvalsh(scaled)[0]:.3g}; check its sign "
+            "and assembly"
+        ) from None
 
 
 def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:

@@ -149,6 +149,9 @@ def test_other_counts_of_values_are_refused():
         ({"initial_gap": [0.0, -1e-6]}, "initial_gap = .*; it must be finite and not negative"),
         ({"normal": "prescribed"}, "give both or neither"),
         ({"normal_force": 1.0}, "give both or neither"),
+        ({"normal": "prescribed", "normal_force": -50.0}, "normal_force has the mean -50.0; it must be real, finite"),
+        ({"normal": "prescribed", "normal_force": {0: [1.0, -2.0], 1: 5.0}}, r"mean \[1.0, -2.0\]; .* not negative"),
+        ({"normal": "prescribed", "normal_force": {0: 1j}}, "normal_force has the mean 1j; it must be real"),
     ],
 )
 def test_laws_that_make_no_sense_are_refused(arguments, message):
