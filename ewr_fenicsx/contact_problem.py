@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from numbers import Real
 
 import numpy as np
 
@@ -58,8 +59,10 @@ class ContactProblem:
     generalised_inverse: GeneralisedInverse = field(default="inertia relief", repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.frequency, Real):
+            raise ModelError(f"frequency = {self.frequency!r}; give a number of Hz, zero where nothing oscillates")
         if not np.isfinite(self.frequency) or self.frequency < 0:
-            raise ModelError(f"frequency = {self.frequency} Hz; give a positive one")
+            raise ModelError(f"frequency = {self.frequency} Hz; give a positive one, zero where nothing oscillates")
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
             if value is not None and not np.all(np.asarray(value, dtype=float) > 0):

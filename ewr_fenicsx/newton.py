@@ -60,8 +60,14 @@ def solve(
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Raises:
+        ModelError: ``start`` has another number of pairs.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
+    if start is not None and start.problem.model.pairs != problem.model.pairs:
+        raise ModelError(
+            f"start has {start.problem.model.pairs} pairs, the problem {problem.model.pairs}; give a solution on "
+            "the same joint, or none"
+        )
     begin = time.perf_counter()
     asked, problem = problem, leave_out_idle(problem, start)
     system = problem.system

@@ -99,6 +99,12 @@ class ReducedModel:
             freeze("rigid_modes", _matrix("rigid_modes", np.asarray(self.rigid_modes, float).reshape(n, -1), (n, None)))
             _check_rigid_modes(self.stiffness, self.rigid_modes)
 
+        if self.rigid_modes.shape[1] and not self.mass.any():
+            raise ModelError(
+                f"mass is zero and the stiffness leaves {self.rigid_modes.shape[1]} rigid motions free, which nothing "
+                "would resist; give a mass, or hold the bodies"
+            )
+
     def __repr__(self) -> str:
         return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
 

@@ -164,6 +164,8 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
     [
         ({"frequency": -1.0}, "frequency = -1.0 Hz; give a positive one"),
         ({"frequency": np.nan}, "frequency = nan Hz"),
+        ({"frequency": "140"}, "frequency = '140'; give a number of Hz"),
+        ({"frequency": None}, "frequency = None; give a number of Hz"),
         ({"rho_normal": 0.0}, "rho_normal = 0.0; it must be positive"),
         ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
         ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),

@@ -11,7 +11,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import NotConverged, UnheldBody
+from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.newton import carry_over, run_newton
 
 PROBLEMS = {
@@ -362,3 +362,24 @@ def test_a_static_problem_has_one_harmonic():
     np.testing.assert_allclose(
         model.stiffness @ solution.coordinates[0].real, load + model.normal.T @ force, atol=1e-10
     )
+
+
+def test_a_start_on_another_joint_is_refused():
+    one = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.1, 1)
+    six = ContactProblem(dovetail(), ContactLaws(friction=0.3), 200.0, 1)
+    with pytest.raises(ModelError, match="start has 6 pairs, the problem 1; give a solution on the same joint"):
+        solve(one, start=solve(six))
+    with pytest.raises(ModelError, match="start has 1 pairs, the problem 6"):
+        solve(six, start=solve(one))
+
+
+def test_without_a_mass_the_rubbing_spring_is_quasi_static():
+    """The play operator: the spring lags behind the load by what friction carries, and stops at its turn."""
+    laws = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+    solution = solve(ContactProblem(friction_oscillator(mass=0.0), laws, 0.01, 31))
+    load = np.cos(2 * np.pi * np.arange(512) / 512)
+    motion, x = np.zeros(512), 0.0
+    for k in range(1024):
+        x = np.clip(x, load[k % 512] - 0.3, load[k % 512] + 0.3)
+        motion[k % 512] = x
+    np.testing.assert_allclose(solution.history("slip", 512)[:, 0], motion, atol=0.01)

@@ -32,6 +32,7 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"stiffness": -np.eye(2)}, "stiffness is not positive semidefinite: scaled eigenvalue -1"),
         ({"mass": -np.eye(2)}, "mass is not positive semidefinite: scaled eigenvalue -1; check its sign"),
         ({"mass": [[1.0, 2e-5], [2e-5, 1e-10]]}, "mass is not positive semidefinite: scaled eigenvalue -0.0289"),
+        ({"mass": np.zeros((2, 2)), "stiffness": np.diag([1.0, 0.0])}, "mass is zero .* leaves 1 rigid motions free"),
         ({"normal": None}, "give normal, tangential or both"),
         ({"normal": [[1.0, 0.0, 0.0]]}, r"normal has shape \(1, 3\); expected \(any, 2\)"),
         (

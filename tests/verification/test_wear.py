@@ -206,6 +206,12 @@ def test_a_joint_that_sticks_is_crossed_in_a_few_jumps():
     assert history.solves < 30
 
 
+def test_nothing_wears_at_rest():
+    at_rest = replace(dovetail_problem(), frequency=0.0, load={0: dovetail().load[0]})
+    with pytest.raises(ModelError, match="no pair can wear: frequency = 0 Hz"):
+        evolve_wear(at_rest, 5, WEAR_OF_DOVETAIL)
+
+
 def test_wear_stops_at_a_given_depth():
     history = evolve_wear(punch(CROWN), 500, COEFFICIENT, deepest=1e-7)
     assert history.depth[-1].max() > 1e-7 > history.depth[-2].max()
