@@ -226,7 +226,7 @@ class Solver(Section):
     rho_tangential: Number | None = entry(
         None, "m/(N s)", "Tangential parameter; by default from the compliance.", gt=0
     )
-    tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", gt=0, lt=1)
+    tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", ge=1e-13, le=1e-3)
 
     @field_validator("harmonics")
     @classmethod

@@ -52,6 +52,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         return ".".join(
             str(step) for step in loc if not str(step).startswith("kind=")
         ), "missing, and it has no default"
+    for limit in {"gt", "ge", "lt", "le"} & set(detail.get("ctx", ())):  # pydantic writes 1e-13 with all its zeros
+        message = f"{message.rsplit(' ', 1)[0]} {detail['ctx'][limit]:g}"
     path: list[str] = []
     for step in loc:
         # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote

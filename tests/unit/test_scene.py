@@ -70,6 +70,8 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[contact]\nfriction = -0.2", r"contact\.friction = -0\.2: should be greater than or equal to 0"),
         ("[contact]\nfriction = '0.2'", r"contact\.friction = '0\.2': should be a number"),
         ("[contact]\nfriction = true", r"contact\.friction = True: should be a number"),
+        ("[solver]\ntolerance = 1e-17", r"solver\.tolerance = 1e-17: should be greater than or equal to 1e-13"),
+        ("[solver]\ntolerance = 0.5", r"solver\.tolerance = 0\.5: should be less than or equal to 0\.001"),
         ("[solver]\ntolerance = nan", r"solver\.tolerance = nan: should be a finite number"),
         ("[materials.disk]\npoisson = 0.5", r"materials\.disk\.poisson = 0\.5: should be less than 0\.5"),
         ("[elasticity]\nplane = 'stres'", r"elasticity\.plane = 'stres': should be 'stress' or 'strain'"),
