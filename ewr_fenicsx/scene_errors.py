@@ -48,6 +48,9 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         loc = (*loc, "kind")
     elif kind == "missing" and isinstance(loc[-1], int):
         loc, message = loc[:-1], "has too few entries"
+    elif kind == "too_long":
+        count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+        message = f"has too many entries: {count}, and only {most} mean something"
     elif kind == "missing":
         return ".".join(
             str(step) for step in loc if not str(step).startswith("kind=")
@@ -69,7 +72,7 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         ("Tuple should", "should"),
         ("a valid tuple", "a list"),
         ("a valid integer", "a whole number"),
-        (" valid", ""),
+        ("a valid ", "a "),
     ):
         message = message.replace(theirs, ours)
     key = ".".join(path)

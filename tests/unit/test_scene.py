@@ -77,6 +77,11 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[elasticity]\nplane = 'stres'", r"elasticity\.plane = 'stres': should be 'stress' or 'strain'"),
         ("[elasticity]\ndegree = 3", r"elasticity\.degree = 3: should be 1 or 2"),
         ("[reduction]\nmodes = 2.5", r"reduction\.modes = 2\.5: should be a whole number"),
+        (
+            "[loads.s]\nboundary = 'tip'\nforce = [0, 1, 0]",
+            r"loads\.s\.force = \[0, 1, 0\]: has too many entries: 3, and only 2 mean something$",
+        ),
+        ("[loads.s]\nboundary = 'tip'\nforce = [1]", r"loads\.s\.force = \[1\]: has too few entries$"),
         ("[supports]\nclamp = 'clamp'", r"supports\.clamp = 'clamp': should be a list"),
         ("[solver]\nharmonics = '5'", r"solver\.harmonics = '5': should be a whole number, or should be a list"),
         ("[solver]\nharmonics = [1, 3]", r'solver\.harmonics = \[1, 3\] leave out harmonic 0, .* "pull" acts'),
