@@ -143,6 +143,23 @@ def test_a_static_scene_needs_no_frequency(read):
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 950, points = 1 }",
             "excitation.frequency.points = 1: should be greater than or equal to 2",
         ),
+        *(
+            (
+                HEAD + PULL + SHAKE + f"[excitation]\nfrequency = {wrong}",
+                f"excitation.frequency = {shown}: should be a positive number, a list of them, or a table with from, "
+                "to and points; leave it out where nothing oscillates",
+            )
+            for wrong, shown in (("0", "0"), ("-3.0", "-3.0"), ("'140'", "'140'"), ("inf", "inf"), ("true", "True"))
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = [0.0, 3.0]",
+            "scene.toml: excitation.frequency.0 = 0.0: should be greater than 0",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 0, to = 3, points = 2 }",
+            "scene.toml: excitation.frequency.from = 0: should be greater than 0",
+        ),
+        (HEAD + PULL + SHAKE + "[excitation]\nfrequency = {from = 3, to = 9}", "excitation.frequency.points: missing"),
         (HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 900]", "should be frequencies that rise"),
         (
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 950, to = 900, points = 3 }",
