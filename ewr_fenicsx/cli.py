@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,6 +73,10 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     cost.add_argument("--out", type=Path, metavar="DIR", help="folder of the table and the picture; results/NAME_cost")
     cost.add_argument("--time-stepping", action="store_true", help="compare with time stepping: slower, independent")
     arguments, rest = parser.parse_known_args(argv)
+    own = [name.replace("_", "-") for name in vars(arguments) if name not in ("command", "scene")]
+    for option in rest:  # PETSc takes whatever it is given, and says nothing
+        if option.startswith("-") and (meant := get_close_matches(option.strip("-").partition("=")[0], own, 1, 0.8)):
+            commands.choices[arguments.command].error(f"unknown argument: {option}; was --{meant[0]} meant?")
     if rest and (arguments.command != "run" or not rest[0].startswith("-") or any(a.startswith("--") for a in rest)):
         commands.choices[arguments.command].error(
             f"unknown argument: {next((a for a in rest if a.startswith('--')), rest[0])}"
