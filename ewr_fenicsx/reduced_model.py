@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import h5py
 import numpy as np
@@ -155,7 +156,7 @@ class ReducedModel:
             for group, entries in (("load", self.load), ("outputs", self.outputs)):
                 folder = file.create_group(group)
                 for name, value in entries.items():
-                    folder[str(name)] = value
+                    folder[str(name).replace("%", "%25").replace("/", "%2F")] = value  # HDF5 takes "/" for a path
 
 
 def read_reduced_model(path: str | Path) -> ReducedModel:
@@ -171,7 +172,7 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         return ReducedModel(
             **arrays,
             load={int(h): f[()] for h, f in file["load"].items()},
-            outputs={name: c[()] for name, c in file["outputs"].items()},
+            outputs={unquote(name): c[()] for name, c in file["outputs"].items()},
         )
 
 

@@ -92,7 +92,14 @@ def test_rows_by_direction():
 
 
 @pytest.mark.parametrize(
-    "model", [dovetail(), random_structure(tangents=2), friction_oscillator()], ids=lambda m: f"n={m.size}"
+    "model",
+    [
+        dovetail(),
+        random_structure(tangents=2),
+        friction_oscillator(),
+        replace(friction_oscillator(), outputs={"tip/x": [1.0], "tip/y": [2.0], "tip": [3.0], "50 %2F": [4.0]}),
+    ],
+    ids=lambda m: f"n={m.size}, {len(m.outputs)} outputs",
 )
 def test_a_model_survives_its_file(model, tmp_path):
     path = tmp_path / "model.h5"
