@@ -95,6 +95,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     check_target(folder, overwrite=arguments.overwrite, comm=comm)
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
         with name_place(scene, chain.interface):
             study = run_study(chain, progress)
         with Stopwatch(progress).stage("write"):
@@ -120,6 +121,7 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
     with name_place(scene, chain.interface):
         problem = pose_problem(scene, chain.reduction.model, chain.interface)
         counts = count(chain, problem)  # the mesh counts are collective
@@ -149,6 +151,7 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
     with name_place(scene, chain.interface):
         report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
     if comm.rank == 0:
@@ -168,9 +171,14 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:
     """The scene, its doubts told on standard error, and the folder of its results."""
     scene = load_scene(arguments.scene, warn=False)
-    for doubt in scene.doubts if comm.rank == 0 else ():
-        print(f"ewr: warning: {scene.where}: {doubt}", file=sys.stderr, flush=True)
+    tell_doubts(scene, scene.doubts, comm)
     return scene, arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
+
+
+def tell_doubts(scene: Scene, doubts: Sequence[str], comm: MPI.Comm) -> None:
+    """What is probably not meant, on standard error of rank 0."""
+    for doubt in doubts if comm.rank == 0 else ():
+        print(f"ewr: warning: {scene.where}: {doubt}", file=sys.stderr, flush=True)
 
 
 def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:

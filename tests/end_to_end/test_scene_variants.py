@@ -277,3 +277,11 @@ def test_a_phase_is_in_degrees(tmp_path):
         outputs.append(solve(problem, tolerance=1e-12).output("tip"))
     assert abs(outputs[0][1]) > 0
     np.testing.assert_allclose(outputs[1], 1j ** np.arange(4) * outputs[0], atol=1e-8 * abs(outputs[0][1]))
+
+
+def test_a_geometry_in_millimetres_is_told_of(tmp_path, capsys):
+    text = SCENE.format(source=BLOCKS) + "[geometry.parameters]\nwidth = 40.0\nblade_height = 60.0\ndisk_height = 30.0"
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["info", str(tmp_path / "scene.toml")]) == 0
+    assert "ewr: warning: scene" in (told := capsys.readouterr().err)
+    assert "geometry: the mesh is 90 m long; lengths are in m: were mm meant?" in told

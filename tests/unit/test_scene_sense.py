@@ -207,6 +207,13 @@ def test_all_contradictions_come_at_once(read):
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 1000]",
             "excitation.frequency is a sweep, and there are no outputs",
         ),
+        (SCENE + "[materials.blade]\nyoung = 210", r"materials.blade.young = 210 Pa .* was 210e9 Pa \(GPa\) meant"),
+        (SCENE + "[materials.blade]\nyoung = 113800.0", r"young = 113800 Pa .* was 113800e6 Pa \(MPa\) meant"),
+        (SCENE + "[materials.disk]\ndensity = 4.43", r"disk.density = 4.43 kg/m\^3 .* was it given in g/cm"),
+        (SCENE + "[materials.disk]\ndensity = 4.43e6", r"density = 4.43e\+06 kg/m\^3 is that of no solid"),
+        (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
+        (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
+        (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
         (
             SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[solver]\nrho_normal = 1e9",
             'solver.rho_normal = 1e[+]09 does nothing: no flank has the law "unilateral"',

@@ -268,6 +268,19 @@ def test_summary_is_for_people(rubbing):
     assert "NOT converged (too many Newton steps)" in lost.summary() and "fallback: half the load" in lost.summary()
 
 
+@pytest.mark.parametrize("gap, touches", [(0.0, True), (100.0, False)])
+def test_bodies_that_never_touch_are_told(gap, touches):
+    solution = solve(ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3, initial_gap=gap), 0.1, 3))
+    assert solution.converged and solution.touches == touches
+    assert (np.abs(solution.forces).max() > 1e-12) == touches
+    assert ("no pair ever touches" in solution.summary()) != touches
+
+
+def test_where_nothing_may_part_nothing_is_told():
+    for laws in (ContactLaws("bonded", "bonded"), ContactLaws("prescribed", normal_force=1.0)):
+        assert "touches" not in solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 3)).summary()
+
+
 # Invariances of the whole solve
 
 
