@@ -133,7 +133,7 @@ class RotationLoad(Section):
 
     kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
     speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0)
-    centre: Vector = entry((0.0, 0.0), "m", "Where the axis meets the plane (x, y).")
+    centre: Vector = entry(..., "m", "Where the axis meets the plane (x, y), in the mesh's coordinates.")
 
     @property
     def harmonic(self) -> int:

@@ -130,7 +130,7 @@ def test_rotation_takes_the_place_of_the_axial_pull(tmp_path):
     for speed in (5000, 10000):
         text = (
             head
-            + f"[loads.axial_pull]\nkind = 'rotation'\nspeed = {speed}\n\n[loads.tip_shake]"
+            + f"[loads.axial_pull]\nkind = 'rotation'\nspeed = {speed}\ncentre = [0.0, 0.0]\n\n[loads.tip_shake]"
             + tail.split("[loads.tip_shake]")[1]
         )
         (tmp_path / "scene.toml").write_text(text)

@@ -93,6 +93,7 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
             r"loads\.s: a static load .* was harmonic = 1 meant\?",
         ),
         ("[loads.s]\nkind = 'rotatoin'\nspeed = 1", r'loads\.s\.kind = \'rotatoin\': should be "force" or "rotation"'),
+        ("[loads.s]\nkind = 'rotation'\nspeed = 9000", r"loads\.s\.centre: missing, and it has no default$"),
         ("[loads.s]\nkind = 'rotation'\nspeed = 0", r"loads\.s\.speed = 0: should be greater than 0"),
         ("[damping]\nkind = 'rayleigh'\nalpha = 1", r"damping\.beta: missing"),
         ("[damping]\nfrequencies = [3000, 500]", r"damping: the two frequencies should rise"),
@@ -174,14 +175,14 @@ def test_effects_follow_the_scene(read):
     }
     with pytest.warns(SceneWarning, match="friction that never resists"):
         assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
-    assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000")
+    assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000\ncentre = [0, -0.3]")
     odd = SCENE.replace("force = [0, 20e3]", "force = [0, 20e3]\nharmonic = 1") + "[solver]\nharmonics = [1, 3, 5]"
     with pytest.warns(SceneWarning, match="nothing presses the joint together"):
         assert "odd harmonics only" in on(odd)
 
 
 def test_rotation_is_static():
-    assert RotationLoad(kind="rotation", speed=9000).harmonic == 0
+    assert RotationLoad(kind="rotation", speed=9000, centre=(0.0, -0.3)).harmonic == 0
 
 
 def test_reference_page_is_the_one_generated_from_the_definition():
