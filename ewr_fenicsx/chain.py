@@ -252,7 +252,7 @@ def _damping(scene: Scene) -> materials.Damping:
         return materials.Rayleigh(damping.alpha, damping.beta)
     if isinstance(damping, ModalDamping):
         return materials.PerMode(damping.ratio)
-    return materials.ModalRatios(damping.frequencies, damping.ratios)
+    return materials.RayleighRatios(damping.frequencies, damping.ratios)
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
-from ewr_fenicsx.materials import Damping, Material, ModalRatios, PerMode, Rayleigh
+from ewr_fenicsx.materials import Damping, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.mesh import JointMesh
 
 UNDAMPED = Rayleigh()
@@ -176,7 +176,7 @@ def assemble_structure(
     for matrix in (mass, stiffness):
         matrix.scale(thickness)
 
-    if isinstance(damping, ModalRatios):
+    if isinstance(damping, RayleighRatios):
         damping = damping.rayleigh()
     damping_matrix = mass.copy()
     damping_matrix.scale(damping.alpha if isinstance(damping, Rayleigh) else 0.0)

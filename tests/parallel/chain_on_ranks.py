@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, ModalRatios
+from ewr_fenicsx.materials import TITANIUM, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.modes import rigid_body_modes
 from ewr_fenicsx.reduction import reduce_structure
@@ -23,7 +23,7 @@ structure = assemble_structure(
     mesh,
     materials=dict.fromkeys(mesh.bodies, TITANIUM),
     degree=degree,
-    damping=ModalRatios((500.0, 3000.0), (0.002, 0.002)),
+    damping=RayleighRatios((500.0, 3000.0), (0.002, 0.002)),
     loads=[
         EdgeForce("pull", "tip", (50.0, 1000.0)),
         CentrifugalForce("spin", 300.0, (0.0, -0.2), ("blade",)),

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from ewr_fenicsx import _compat
 from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure, body_nodes
 from ewr_fenicsx.errors import EwrError, MeshError, SceneError
-from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios, PerMode, Rayleigh
+from ewr_fenicsx.materials import TITANIUM, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
@@ -113,7 +113,7 @@ def test_clamp_lists_both_directions_of_its_nodes(mesh):
 
 def test_modal_ratios_give_the_ratios_back():
     """zeta(omega) = alpha / (2 omega) + beta omega / 2 at both frequencies."""
-    damping = ModalRatios((500.0, 3000.0), (0.002, 0.003)).rayleigh()
+    damping = RayleighRatios((500.0, 3000.0), (0.002, 0.003)).rayleigh()
     for frequency, ratio in ((500.0, 0.002), (3000.0, 0.003)):
         omega = 2 * pi * frequency
         assert damping.alpha / (2 * omega) + damping.beta * omega / 2 == pytest.approx(ratio, rel=1e-12)
@@ -122,13 +122,13 @@ def test_modal_ratios_give_the_ratios_back():
 @pytest.mark.parametrize("ratios, zero", [((0.002, 0.004), "alpha"), ((0.004, 0.002), "beta")])
 def test_modal_ratios_at_the_edge_leave_one_coefficient_zero(ratios, zero):
     """Stiffness-proportional: ratios grow like the frequency; mass-proportional: they fall like it."""
-    assert getattr(ModalRatios((500.0, 1000.0), ratios).rayleigh(), zero) == 0.0
+    assert getattr(RayleighRatios((500.0, 1000.0), ratios).rayleigh(), zero) == 0.0
 
 
 @pytest.mark.parametrize("ratios", [(0.001, 0.02), (0.02, 0.001)])
 def test_modal_ratios_that_need_negative_damping_are_refused(ratios):
     with pytest.raises(SceneError, match=r"must lie between 0\.5 and 2"):
-        ModalRatios((500.0, 1000.0), ratios).rayleigh()
+        RayleighRatios((500.0, 1000.0), ratios).rayleigh()
 
 
 def test_rayleigh_damping_matrix(mesh):
@@ -169,7 +169,7 @@ def test_bad_values_are_named(mesh, change, error, words):
         (lambda: PerMode(1.5), "1.5"),
         (lambda: EdgeForce("f", "tip", (1, 0), 0, 0.3), "static load has no phase"),
         (lambda: EdgeForce("f", "tip", (1, 0), -1), "harmonic is -1"),
-        (lambda: ModalRatios((500.0, 500.0), (0.1, 0.1)).rayleigh(), "two different"),
+        (lambda: RayleighRatios((500.0, 500.0), (0.1, 0.1)).rayleigh(), "two different"),
     ],
 )
 def test_descriptions_refuse_values_out_of_range(make, words):

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, Material, ModalRatios
+from ewr_fenicsx.materials import TITANIUM, Material, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.modes import full_stick_modes, rigid_body_modes, solve_modes, tie_pairs
 
@@ -209,7 +209,7 @@ def receptance(structure, transformation, frequencies):
 def test_bonded_pairs_are_one_welded_mesh(joint, welded, pairs):
     """Tying the nodes of every pair gives the compliance and the modes of the mesh whose nodes were merged."""
     options = {
-        "damping": ModalRatios((500.0, 3000.0), (0.002, 0.002)),
+        "damping": RayleighRatios((500.0, 3000.0), (0.002, 0.002)),
         "loads": [EdgeForce("f", "tip", (1.0, 0.3), 1)],
         "outputs": [OutputSpec("tip", "tip", (1.0, 0.3))],
     }
