@@ -77,7 +77,11 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     with count_progress("settings", len(settings), progress) as tell:
         done = count(1)
         rows = survey(settings, reference, repeats=1, report=lambda _: tell(next(done)))
-    told = [f"reference: {name}; its own error is thought to be {own:.1g}"]
+    several = len(chain.scene.frequencies)
+    told = [
+        f"at {problem.frequency:g} Hz" + (f", the first of the sweep's {several} frequencies" if several > 1 else "")
+    ]
+    told += [f"reference: {name}; its own error is thought to be {own:.1g}"]
     for level in LEVELS:
         if level < own:
             told.append(f"  {level:>6.1%}: the reference is not good enough to tell")
