@@ -71,6 +71,7 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     )
     cost.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
     cost.add_argument("--out", type=Path, metavar="DIR", help="folder of the table and the picture; results/NAME_cost")
+    cost.add_argument("--overwrite", action="store_true", help="replace the table and picture of an earlier survey")
     cost.add_argument("--time-stepping", action="store_true", help="compare with time stepping: slower, independent")
     arguments, rest = parser.parse_known_args(argv)
     own = [name.replace("_", "-") for name in vars(arguments) if name not in ("command", "scene")]
@@ -146,9 +147,11 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr cost``: error and time of each setting, on one rank's processor."""
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.chain import build_chain
-    from ewr_fenicsx.cost_report import survey_scene
+    from ewr_fenicsx.cost_report import PICTURE, TABLE, survey_scene
+    from ewr_fenicsx.result_folder import check_target
 
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
+    check_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE))
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)

@@ -22,6 +22,7 @@ ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
 LEVELS = (0.1, 0.01, 0.001)
 STEPS = (400, 800)  # a period, of time stepping
+TABLE, PICTURE = "cost.json", "cost.png"
 TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "normal forces": "normal forces"}
 
 
@@ -43,7 +44,7 @@ class CostReport:
         from ewr_fenicsx.cost_plots import draw_work_precision
 
         folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / "cost.json", folder / "cost.png"]
+        files = [folder / TABLE, folder / PICTURE]
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")

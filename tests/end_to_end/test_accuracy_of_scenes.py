@@ -127,7 +127,9 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     monkeypatch.setattr(cost_report, "HIGHEST", 15)
     monkeypatch.setattr(cost_report, "STEPS", (100, 200))
     folder = tmp_path / "costs"
-    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder), *option]) == 0
+    folder.mkdir()
+    (folder / "cost.json").write_text("of an earlier survey")
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder), "--overwrite", *option]) == 0
     printed = capsys.readouterr()
     assert f"reference: {name}" in printed.out
     assert re.search(r"^at \d+ Hz$", printed.out, re.MULTILINE)
@@ -140,6 +142,22 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     stages = {"mesh", "JIT", "matrices", "interface", "reduction", "solve: compose", "solve: newton", "write"}
     assert set(found["stages"]) == stages
     assert "stages of a run: mesh " in printed.out
+
+
+@pytest.mark.parametrize(
+    ("there", "option", "message"),
+    [
+        ("summary.json", (), r"result folder .*there exists and is kept; give --overwrite"),
+        ("summary.json", ("--overwrite",), r"there holds 'summary\.json', which this command does not write"),
+        ("cost.json", (), r"result folder .*there exists and is kept; give --overwrite"),
+    ],
+)
+def test_costs_are_not_dropped_among_other_files(tmp_path, capsys, there, option, message):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / there).write_text("{}")
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(tmp_path / "there"), *option]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert [path.name for path in (tmp_path / "there").iterdir()] == [there]
 
 
 def test_the_costs_of_a_sweep_name_the_frequency_that_they_are_of(tmp_path, monkeypatch):
