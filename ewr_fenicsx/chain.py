@@ -19,12 +19,12 @@ from ewr_fenicsx.elasticity import Structure, assemble_structure
 from ewr_fenicsx.errors import SceneError, nearest
 from ewr_fenicsx.interface import Interface, pair_interface
 from ewr_fenicsx.law_kinds import list_parameters
-from ewr_fenicsx.mesh import JointMesh, build_mesh
+from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.scene import ModalDamping, RayleighDamping, RotationLoad, Scene
 from ewr_fenicsx.scene_joint import Contact
-from ewr_fenicsx.scene_sense import can_wear
+from ewr_fenicsx.scene_sense import can_wear, doubt_extent
 
 Laws = ContactLaws | list[tuple[list[int], ContactLaws]]
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
@@ -71,7 +71,7 @@ def add_times(*times: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything from the scene to the reduced model; ``seconds`` by stage."""
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` about the mesh by sentence."""
 
     scene: Scene
     mesh: JointMesh
@@ -79,6 +79,7 @@ class Chain:
     interface: Interface
     reduction: CraigBampton
     seconds: Mapping[str, float]
+    doubts: tuple[str, ...] = ()
 
 
 def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Chain:
@@ -97,6 +98,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
         check_names(scene, mesh)
+        doubts = tuple(doubt_extent(measure_extent(mesh)))
     with watch.stage("matrices"):
         structure = assemble_structure(
             mesh,
@@ -117,7 +119,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     check_flanks(scene, interface)
     with watch.stage("reduction"):
         reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
-    return Chain(scene, mesh, structure, interface, reduction, watch.seconds)
+    return Chain(scene, mesh, structure, interface, reduction, watch.seconds, doubts)
 
 
 def build_reduced_model(scene: Scene) -> ReducedModel:
@@ -250,7 +252,7 @@ def _damping(scene: Scene) -> materials.Damping:
         return materials.Rayleigh(damping.alpha, damping.beta)
     if isinstance(damping, ModalDamping):
         return materials.PerMode(damping.ratio)
-    return materials.ModalRatios(damping.frequencies, damping.ratios)
+    return materials.RayleighRatios(damping.frequencies, damping.ratios)
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

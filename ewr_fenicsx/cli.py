@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,8 +71,13 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     )
     cost.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
     cost.add_argument("--out", type=Path, metavar="DIR", help="folder of the table and the picture; results/NAME_cost")
+    cost.add_argument("--overwrite", action="store_true", help="replace the table and picture of an earlier survey")
     cost.add_argument("--time-stepping", action="store_true", help="compare with time stepping: slower, independent")
     arguments, rest = parser.parse_known_args(argv)
+    own = [name.replace("_", "-") for name in vars(arguments) if name not in ("command", "scene")]
+    for option in rest:  # PETSc takes whatever it is given, and says nothing
+        if option.startswith("-") and (meant := get_close_matches(option.strip("-").partition("=")[0], own, 1, 0.8)):
+            commands.choices[arguments.command].error(f"unknown argument: {option}; was --{meant[0]} meant?")
     if rest and (arguments.command != "run" or not rest[0].startswith("-") or any(a.startswith("--") for a in rest)):
         commands.choices[arguments.command].error(
             f"unknown argument: {next((a for a in rest if a.startswith('--')), rest[0])}"
@@ -90,6 +96,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     check_target(folder, overwrite=arguments.overwrite, comm=comm)
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
         with name_place(scene, chain.interface):
             study = run_study(chain, progress)
         with Stopwatch(progress).stage("write"):
@@ -116,6 +123,7 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
     with name_place(scene, chain.interface):
         problem = pose_problem(scene, chain.reduction.model, chain.interface)
         counts = count(chain, problem)  # the mesh counts are collective
@@ -140,11 +148,14 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr cost``: error and time of each setting, on one rank's processor."""
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.chain import build_chain
-    from ewr_fenicsx.cost_report import survey_scene
+    from ewr_fenicsx.cost_report import PICTURE, TABLE, survey_scene
+    from ewr_fenicsx.result_folder import check_target
 
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
+    check_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE))
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
+        tell_doubts(scene, chain.doubts, comm)
     with name_place(scene, chain.interface):
         report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
     if comm.rank == 0:
@@ -164,9 +175,14 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:
     """The scene, its doubts told on standard error, and the folder of its results."""
     scene = load_scene(arguments.scene, warn=False)
-    for doubt in scene.doubts if comm.rank == 0 else ():
-        print(f"ewr: warning: {scene.where}: {doubt}", file=sys.stderr, flush=True)
+    tell_doubts(scene, scene.doubts, comm)
     return scene, arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
+
+
+def tell_doubts(scene: Scene, doubts: Sequence[str], comm: MPI.Comm) -> None:
+    """What is probably not meant, on standard error of rank 0."""
+    for doubt in doubts if comm.rank == 0 else ():
+        print(f"ewr: warning: {scene.where}: {doubt}", file=sys.stderr, flush=True)
 
 
 def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:

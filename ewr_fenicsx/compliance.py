@@ -160,7 +160,8 @@ def find_normal_modes(model: ReducedModel) -> NormalModes | None:
     Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
     their digits, whatever the highest frequency of the model.
     """
-    shift = 1e-6 * np.trace(model.stiffness) / np.trace(model.mass) or 1.0
+    weight = np.trace(model.mass)
+    shift = (1e-6 * np.trace(model.stiffness) / weight or 1.0) if weight else 0.0  # without a mass nothing is rigid
     shifted = model.stiffness + shift * model.mass
     scale = 1 / np.sqrt(np.diag(shifted))
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from numbers import Real
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import Layout, demand_rows, lay_out, row_of
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
 from ewr_fenicsx.statics import find_holding
 
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
@@ -59,8 +60,10 @@ class ContactProblem:
     generalised_inverse: GeneralisedInverse = field(default="inertia relief", repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.frequency, Real):
+            raise ModelError(f"frequency = {self.frequency!r}; give a number of Hz, zero where nothing oscillates")
         if not np.isfinite(self.frequency) or self.frequency < 0:
-            raise ModelError(f"frequency = {self.frequency} Hz; give a positive one")
+            raise ModelError(f"frequency = {self.frequency} Hz; give a positive one, zero where nothing oscillates")
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
             if value is not None and not np.all(np.asarray(value, dtype=float) > 0):
@@ -69,6 +72,8 @@ class ContactProblem:
             np.shape(self.wear) != (self.model.pairs,) or not np.all(np.asarray(self.wear) >= 0)
         ):
             raise ModelError(f"wear must be one depth >= 0 for each of the {self.model.pairs} pairs")
+        if self.load is not None:
+            object.__setattr__(self, "load", check_loads(self.load, self.model.size))
         missing = [h for h, f in self.loads.items() if h not in self.basis.orders and np.any(f)]
         if missing:
             raise ModelError(

@@ -19,6 +19,7 @@ from ewr_fenicsx.reduced_model import RealArray
 BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-6  # relative step in the parameter for the derivative of the residual
+CORRECTOR_STEPS = 12  # Newton steps allowed a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,6 @@ def trace_branch(
     smallest_step: float = 1e-4,
     largest_step: float = np.inf,
     tolerance: float = 1e-8,
-    corrector_steps: int = 12,
     before: BranchPoint | None = None,
     stray: float = np.inf,
 ) -> Iterator[BranchPoint]:
@@ -59,7 +59,6 @@ def trace_branch(
         smallest_step: Below this the branch ends, unless it turns a corner there.
         largest_step: No step is longer than this.
         tolerance: Residual norm of accepted points.
-        corrector_steps: Newton steps allowed a point.
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
@@ -69,7 +68,7 @@ def trace_branch(
     if before is not None:
         tangent = _point_to(before, start, span)
     while step >= smallest_step:
-        found, taken = _correct(balance_at, here, tangent, step, span, tolerance, corrector_steps)
+        found, taken = _correct(balance_at, here, tangent, step, span, tolerance, CORRECTOR_STEPS)
         spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None

@@ -145,7 +145,7 @@ def list_settings(
             settings.append(Setting("rho_N over default", factor, replace(usual, rho_normal=factor * normal)))
         if friction is not None:
             settings.append(Setting("rho_T over default", factor, replace(usual, rho_tangential=factor * friction)))
-    settings += [Setting("tolerance", t, usual, t) for t in (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)]
+    settings += [Setting("tolerance", t, usual, t) for t in (1e-3, 1e-4, 1e-6, 1e-8, 1e-10)]
     return settings
 
 

@@ -22,6 +22,7 @@ ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
 LEVELS = (0.1, 0.01, 0.001)
 STEPS = (400, 800)  # a period, of time stepping
+TABLE, PICTURE = "cost.json", "cost.png"
 TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "normal forces": "normal forces"}
 
 
@@ -43,7 +44,7 @@ class CostReport:
         from ewr_fenicsx.cost_plots import draw_work_precision
 
         folder.mkdir(parents=True, exist_ok=True)
-        files = [folder / "cost.json", folder / "cost.png"]
+        files = [folder / TABLE, folder / PICTURE]
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")
@@ -77,7 +78,11 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     with count_progress("settings", len(settings), progress) as tell:
         done = count(1)
         rows = survey(settings, reference, repeats=1, report=lambda _: tell(next(done)))
-    told = [f"reference: {name}; its own error is thought to be {own:.1g}"]
+    several = len(chain.scene.frequencies)
+    told = [
+        f"at {problem.frequency:g} Hz" + (f", the first of the sweep's {several} frequencies" if several > 1 else "")
+    ]
+    told += [f"reference: {name}; its own error is thought to be {own:.1g}"]
     for level in LEVELS:
         if level < own:
             told.append(f"  {level:>6.1%}: the reference is not good enough to tell")

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
-from ewr_fenicsx.materials import Damping, Material, ModalRatios, PerMode, Rayleigh
+from ewr_fenicsx.materials import Damping, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.mesh import JointMesh
 
 UNDAMPED = Rayleigh()
@@ -56,13 +56,11 @@ class CentrifugalForce:
         name: For messages and files.
         omega: Rotation speed [rad/s].
         centre: Where the axis meets the plane [m].
-        bodies: Names of the bodies that feel it; None: all.
     """
 
     name: str
     omega: float
     centre: tuple[float, float]
-    bodies: tuple[str, ...] | None = None
     harmonic: int = field(default=0, init=False)
     phase: float = field(default=0.0, init=False)
 
@@ -176,7 +174,7 @@ def assemble_structure(
     for matrix in (mass, stiffness):
         matrix.scale(thickness)
 
-    if isinstance(damping, ModalRatios):
+    if isinstance(damping, RayleighRatios):
         damping = damping.rayleigh()
     damping_matrix = mass.copy()
     damping_matrix.scale(damping.alpha if isinstance(damping, Rayleigh) else 0.0)
@@ -290,15 +288,10 @@ def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: 
 def _nodal_forces(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> PETSc.Vec:
     if isinstance(load, EdgeForce):
         return mean_over_edge(space, boundary_facets(mesh, load.boundary), load.force)
-    selected = dolfinx.fem.Function(density.function_space)
-    for body in mesh.bodies if load.bodies is None else load.bodies:
-        cells = mesh.cell_tags.find(_tag(mesh.bodies, body, "body"))
-        dofs = _compat.cell_dofs(density.function_space, cells)
-        selected.x.array[dofs] = load.omega**2 * density.x.array[dofs]
     centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
-    form = selected * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
+    form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
     forces = _compat.assemble_vector(_compat.compile_form(form, "the centrifugal force"))
-    forces.scale(thickness)
+    forces.scale(thickness * load.omega**2)
     return forces
 
 

@@ -97,7 +97,7 @@ def read_state(solution: PeriodicSolution) -> ComplexArray:
     return oscillates * (read_motion(solution) + system.flexibility * solution.forces)
 
 
-def measure_distance(a: ComplexArray, b: ComplexArray) -> float:
+def compare_states(a: ComplexArray, b: ComplexArray) -> float:
     """Distance of two states over the larger one."""
     size = max(np.linalg.norm(a), np.linalg.norm(b))
     return float(np.linalg.norm(a - b) / size) if size else 0.0
@@ -105,7 +105,7 @@ def measure_distance(a: ComplexArray, b: ComplexArray) -> float:
 
 def agree(a: PeriodicSolution, b: PeriodicSolution) -> bool:
     """Whether two solutions of the same problem are one."""
-    return measure_distance(read_state(a), read_state(b)) <= SAME
+    return compare_states(read_state(a), read_state(b)) <= SAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +167,10 @@ class Follower:
         if not found.converged:
             return found, np.inf, np.inf
         state, last = read_state(found), read_state(here)
-        change = measure_distance(state, last)
+        change = compare_states(state, last)
         if before is None:
             return found, change, change
-        return found, min(change, measure_distance(state, last + ratio * (last - read_state(before)))), change
+        return found, min(change, compare_states(state, last + ratio * (last - read_state(before)))), change
 
     def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
         """Arc-length continuation from a point next to a fold until the branch passes ``target``; ends with that."""

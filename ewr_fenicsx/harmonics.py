@@ -141,12 +141,16 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
         if harmonics < 0:
             raise ModelError(f"harmonics = {harmonics}; give the highest harmonic N >= 0, or a list of harmonics")
         orders = tuple(range(int(harmonics) + 1))
+    elif np.ndim(harmonics) != 1 or np.asarray(harmonics).dtype.kind not in "iuf":
+        raise ModelError(f"harmonics = {harmonics!r}; give the highest harmonic, a whole number, or a list of them")
     else:
         orders = tuple(sorted(harmonics))
     if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or any(int(h) != h for h in orders):
         raise ModelError(f"harmonics = {harmonics!r}; give distinct whole numbers from 0")
     if samples is None:
         samples = max(128, 1 << (32 * int(orders[-1]) - 1).bit_length()) if orders[-1] else 1
+    if not isinstance(samples, (int, np.integer)):
+        raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, or None")
     if samples <= 2 * orders[-1]:
         raise ModelError(
             f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}"

@@ -45,7 +45,7 @@ class Rayleigh:
 
 
 @dataclass(frozen=True)
-class ModalRatios:
+class RayleighRatios:
     """Rayleigh damping with the given ratio of critical damping at two frequencies [Hz]."""
 
     frequencies: tuple[float, float]
@@ -91,4 +91,4 @@ class PerMode:
             raise SceneError(f"damping: the ratio per mode is {self.ratio}; give a number from 0 to below 1")
 
 
-Damping = Rayleigh | ModalRatios | PerMode
+Damping = Rayleigh | RayleighRatios | PerMode

@@ -72,6 +72,13 @@ class _Inspection:
     smallest_scaled_jacobian: float
 
 
+def measure_extent(mesh: JointMesh) -> float:
+    """Longest side of the box around a mesh [m]; collective."""
+    points = mesh.domain.geometry.x
+    ends = np.array([points.max(axis=0, initial=-np.inf), -points.min(axis=0, initial=np.inf)])
+    return float(mesh.domain.comm.allreduce(ends, op=MPI.MAX).sum(axis=0).max())
+
+
 def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -> JointMesh:
     """Build or read a mesh, check it, and distribute it.
 

@@ -158,41 +158,6 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     return tie
 
 
-def rigid_body_modes(structure: Structure, body: str) -> Modes:
-    """The rigid motions of a free body, mass-orthonormal: two translations and the rotation about its mass centre.
-
-    The frequencies are those of the Rayleigh quotients: zero up to rounding. Residuals are relative to the forces
-    ``|K| |phi|`` that cancel.
-
-    Raises:
-        MeshError: No such body.
-        ModesError: A node of the body is clamped.
-    """
-    if not is_floating(structure, body):
-        raise ModesError(f'body "{body}" is clamped; it has no rigid-body modes')
-    nodes = body_nodes(structure, body)
-    first = structure.mass.getOwnershipRange()[0]
-    position = structure.space.tabulate_dof_coordinates()[nodes - first // 2, :2]
-    vectors = []
-    for shape in (
-        lambda x: (0 * x[:, 0] + 1, 0 * x[:, 0]),
-        lambda x: (0 * x[:, 0], 0 * x[:, 0] + 1),
-        lambda x: (-x[:, 1], x[:, 0]),
-    ):
-        vector = structure.mass.createVecRight()
-        for component, values in enumerate(shape(position)):
-            vector.array[2 * nodes + component - first] = values
-        vectors.append(_orthonormalise(vector, vectors, structure.mass))
-    largest = structure.stiffness.norm(PETSc.NormType.INFINITY)
-    frequency, residual = [], []
-    for vector in vectors:
-        force = structure.stiffness * vector
-        value = force.dot(vector)
-        frequency.append(math.copysign(math.sqrt(abs(value)), value) / (2 * math.pi))
-        residual.append(force.norm(PETSc.NormType.INFINITY) / (largest * vector.norm(PETSc.NormType.INFINITY)))
-    return Modes(np.array(frequency), vectors, np.array(residual))
-
-
 def is_floating(structure: Structure, body: str) -> bool:
     """Whether no node of a body is clamped."""
     held = np.isin(body_nodes(structure, body), structure.fixed_dofs // 2)
@@ -204,15 +169,6 @@ def use_mumps(solver: PETSc.KSP) -> None:
     solver.setType(PETSc.KSP.Type.PREONLY)
     solver.getPC().setType(PETSc.PC.Type.LU)
     solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-
-
-def _orthonormalise(vector: PETSc.Vec, others: list[PETSc.Vec], mass: PETSc.Mat) -> PETSc.Vec:
-    for _ in range(2):  # the second pass removes what rounding left
-        weighted = mass * vector
-        for other in others:
-            vector.axpy(-other.dot(weighted), other)
-    vector.scale(1 / math.sqrt(vector.dot(mass * vector)))
-    return vector
 
 
 def _normalise(

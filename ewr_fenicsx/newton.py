@@ -30,6 +30,8 @@ TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e
 TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
 TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
 APERIODIC = 0.1  # change from period to period that casts doubt on there being a periodic motion
+# Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
+TIGHTEST, LOOSEST = 1e-13, 1e-3
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -54,14 +56,26 @@ def solve(
     Args:
         problem: The problem.
         start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
-        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces.
+        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces; from 1e-13 to
+            1e-3.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Raises:
+        ModelError: ``start`` has another number of pairs, or the tolerance is out of bounds.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
+    if start is not None and start.problem.model.pairs != problem.model.pairs:
+        raise ModelError(
+            f"start has {start.problem.model.pairs} pairs, the problem {problem.model.pairs}; give a solution on "
+            "the same joint, or none"
+        )
+    if not TIGHTEST <= tolerance <= LOOSEST:
+        raise ModelError(
+            f"tolerance = {tolerance:g}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
+            "above which even a start may pass for a solution; 1e-8 is usual"
+        )
     begin = time.perf_counter()
     asked, problem = problem, leave_out_idle(problem, start)
     system = problem.system

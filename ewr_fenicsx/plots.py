@@ -92,11 +92,11 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def draw_mode(path: Path, chain: Chain, number: int = 0) -> None:
-    """Shape of a full-stick mode, over the undeformed outline; collective."""
+def draw_mode(path: Path, chain: Chain) -> None:
+    """Shape of the first full-stick mode, over the undeformed outline; collective."""
     modes = chain.reduction.full_stick
     shape = dolfinx.fem.Function(chain.structure.space)
-    owned = modes.vectors[number].array
+    owned = modes.vectors[0].array
     shape.x.array[: owned.size] = owned
     shape.x.scatter_forward()
     cells = gather_cells(chain, shape)
@@ -119,7 +119,7 @@ def draw_mode(path: Path, chain: Chain, number: int = 0) -> None:
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
-    figure.suptitle(f"full-stick mode {number + 1}: {modes.frequency[number]:.1f} Hz")
+    figure.suptitle(f"full-stick mode 1: {modes.frequency[0]:.1f} Hz")
     figure.colorbar(colours, ax=axes, label="displacement / its largest value", shrink=0.7)
     figure.savefig(path, dpi=DPI)
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import h5py
 import numpy as np
@@ -28,6 +29,7 @@ RealArray = np.ndarray
 ComplexArray = np.ndarray
 
 _FORMAT = "ewr_fenicsx reduced model, 1"
+_NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -36,7 +38,8 @@ class ReducedModel:
     """Matrices, contact rows and loads of a structure in ``n`` coordinates.
 
     Args:
-        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric.
+        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric,
+            positive semidefinite.
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
         tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; or None.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
@@ -45,7 +48,8 @@ class ReducedModel:
         outputs: Name -> ``(n,)`` row of a quantity to follow.
 
     Raises:
-        ModelError: Shapes disagree, a matrix is not finite or symmetric, or ``rigid_modes`` do not span the null space.
+        ModelError: Shapes disagree, a matrix is not finite, symmetric or positive semidefinite, or ``rigid_modes``
+            do not span the null space.
     """
 
     mass: RealArray
@@ -68,6 +72,7 @@ class ReducedModel:
         freeze("damping", _matrix("damping", self.damping, (n, n)))
         for name in ("mass", "stiffness"):
             _check_symmetry(name, getattr(self, name))
+        _check_mass(self.mass)
         if self.normal is None and self.tangential is None:
             raise ModelError("a reduced model needs contact rows: give normal, tangential or both")
         pairs = None
@@ -87,13 +92,19 @@ class ReducedModel:
         if not np.all(self.pair_area > 0):
             k = int(np.argmin(self.pair_area))
             raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
-        freeze("load", {_harmonic(h): _load(h, f, n) for h, f in self.load.items()})
+        freeze("load", check_loads(self.load, n))
         freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in self.outputs.items()})
         if self.rigid_modes is None:
             freeze("rigid_modes", find_rigid_modes(self.stiffness))
         else:
             freeze("rigid_modes", _matrix("rigid_modes", np.asarray(self.rigid_modes, float).reshape(n, -1), (n, None)))
             _check_rigid_modes(self.stiffness, self.rigid_modes)
+
+        if self.rigid_modes.shape[1] and not self.mass.any():
+            raise ModelError(
+                f"mass is zero and the stiffness leaves {self.rigid_modes.shape[1]} rigid motions free, which nothing "
+                "would resist; give a mass, or hold the bodies"
+            )
 
     def __repr__(self) -> str:
         return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
@@ -145,7 +156,7 @@ class ReducedModel:
             for group, entries in (("load", self.load), ("outputs", self.outputs)):
                 folder = file.create_group(group)
                 for name, value in entries.items():
-                    folder[str(name)] = value
+                    folder[str(name).replace("%", "%25").replace("/", "%2F")] = value  # HDF5 takes "/" for a path
 
 
 def read_reduced_model(path: str | Path) -> ReducedModel:
@@ -161,12 +172,21 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         return ReducedModel(
             **arrays,
             load={int(h): f[()] for h, f in file["load"].items()},
-            outputs={name: c[()] for name, c in file["outputs"].items()},
+            outputs={unquote(name): c[()] for name, c in file["outputs"].items()},
         )
 
 
 # The public interface calls both the field and the reader "load": an instance finds its field first, the class this.
 ReducedModel.load = staticmethod(read_reduced_model)
+
+
+def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, ComplexArray]:
+    """Loads as read-only complex vectors: harmonic -> ``(size,)`` amplitudes [N].
+
+    Raises:
+        ModelError: A harmonic, a number of entries or a value that makes no sense; the mean load is not real.
+    """
+    return {_harmonic(h): _load(h, f, size) for h, f in load.items()}
 
 
 def find_rigid_modes(stiffness: RealArray) -> RealArray:
@@ -266,6 +286,20 @@ def _check_symmetry(name: str, matrix: RealArray) -> None:
         raise ModelError(
             f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
         )
+
+
+def _check_mass(mass: RealArray) -> None:
+    diagonal = np.abs(np.diag(mass))
+    floor = 1e-8 * diagonal.max(initial=1e-300)  # rounding about massless coordinates stays small on this scale
+    scale = 1 / np.sqrt(np.maximum(diagonal, floor))
+    scaled = scale[:, None] * mass * scale
+    try:
+        np.linalg.cholesky(scaled + _NEGATIVE * np.eye(len(mass)))
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            f"mass is not positive semidefinite: scaled eigenvalue {np.linalg.eigvalsh(scaled)[0]:.3g}; check its sign "
+            "and assembly"
+        ) from None
 
 
 def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:

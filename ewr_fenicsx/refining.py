@@ -17,8 +17,7 @@ from ewr_fenicsx.accuracy import FIRST_ORDER, GROWTH, AccurateSolution, solve_to
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
-from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump
-from ewr_fenicsx.following import measure_distance as measure_symmetric_distance
+from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump, compare_states
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import Record, restore, strip
@@ -135,7 +134,7 @@ def join_points(
 def measure_gap(a: PeriodicSolution, b: PeriodicSolution) -> float:
     """Distance of the outputs' oscillations at two frequencies over the larger one."""
     orders = sorted({*a.orders, *b.orders})
-    return measure_symmetric_distance(*(read_response(s.problem, s.forces, s.rigid, orders) for s in (a, b)))
+    return compare_states(*(read_response(s.problem, s.forces, s.rigid, orders) for s in (a, b)))
 
 
 def lie_on_one_branch(a: AccurateSolution, b: AccurateSolution, tolerance: float) -> bool:

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
@@ -20,13 +20,21 @@ SUMMARY = "summary.json"  # its key "files" names all files of the folder
 T = TypeVar("T")
 
 
-def check_target(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF) -> None:
+def check_target(
+    folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF, own: Sequence[str] = ()
+) -> None:
     """Checks, before any work is done, that a result folder can be written.
+
+    Args:
+        folder: The folder.
+        overwrite: Whether results that it holds may be replaced.
+        comm: Ranks that call.
+        own: Names of the files that may be replaced; none: those that the folder's summary lists.
 
     Raises:
         OutputError: On every rank. The folder exists, holds files that are no results, or cannot be made.
     """
-    on_rank_zero(comm, lambda: _check_target(Path(folder), overwrite))
+    on_rank_zero(comm, lambda: _check_target(Path(folder), overwrite, own))
 
 
 @contextmanager
@@ -77,16 +85,16 @@ def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:
     return value
 
 
-def _check_target(folder: Path, overwrite: bool) -> None:
+def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         if not overwrite:
             raise OutputError(
                 f"result folder {folder} exists and is kept; give --overwrite to replace it, or another --out"
             )
-        if foreign := sorted(_find_foreign_files(folder)):
+        if foreign := sorted(_find_foreign_files(folder, own)):
             raise OutputError(
                 f"result folder {folder} holds {foreign[0]!r}{f' and {len(foreign) - 1} more' if foreign[1:] else ''}, "
-                "which no run wrote; move it away, or give another --out"
+                f"which {'this command does not write' if own else 'no run wrote'}; move it away, or give another --out"
             )
     elif folder.exists() and not folder.is_dir():
         raise OutputError(f"result folder {folder} is a file; give another --out")
@@ -100,8 +108,10 @@ def _check_target(folder: Path, overwrite: bool) -> None:
         ) from None
 
 
-def _find_foreign_files(folder: Path) -> set[str]:
+def _find_foreign_files(folder: Path, own: Sequence[str]) -> set[str]:
     found = {path.name for path in folder.iterdir()}
+    if own:
+        return found - set(own)
     try:
         return found - set(json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"])
     except (OSError, ValueError, KeyError, TypeError):

@@ -7,13 +7,24 @@ Nothing here imports dolfinx: a wrong scene is refused within a moment.
 
 from __future__ import annotations
 
+import math
 import tomllib
 import warnings
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from ewr_fenicsx.errors import SceneError, SceneWarning
@@ -126,7 +137,7 @@ class RotationLoad(Section):
 
     kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
     speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0)
-    centre: Vector = entry((0.0, 0.0), "m", "Where the axis meets the plane (x, y).")
+    centre: Vector = entry(..., "m", "Where the axis meets the plane (x, y), in the mesh's coordinates.")
 
     @property
     def harmonic(self) -> int:
@@ -177,12 +188,43 @@ class FrequencyRange(Section):
         return self
 
 
+def _tell_frequency_form(asked: Any) -> str:
+    if isinstance(asked, (Mapping, FrequencyRange)):
+        return "kind=range"
+    if asked is None:
+        return "kind=none"
+    return "kind=list" if isinstance(asked, (list, tuple)) else "kind=number"
+
+
+# Told apart by what they look like, so that a mistake in one is not told in the words of the others
+Frequency = Annotated[
+    Annotated[Positive, Tag("kind=number")]
+    | Annotated[tuple[Positive, ...], Tag("kind=list")]
+    | Annotated[FrequencyRange, Tag("kind=range")]
+    | Annotated[None, Tag("kind=none")],
+    Discriminator(_tell_frequency_form),
+]
+
+
 class Excitation(Section):
     """What repeats. Only a scene without an oscillating load does without a frequency."""
 
-    frequency: Positive | tuple[Positive, ...] | FrequencyRange | None = entry(
+    frequency: Frequency = entry(
         None, "Hz", "Frequency of harmonic 1; a list, or a table `from`, `to`, `points`, is a sweep."
     )
+
+    @field_validator("frequency", mode="before")
+    @classmethod
+    def check_number(cls, frequency: Any) -> Any:
+        if _tell_frequency_form(frequency) != "kind=number":
+            return frequency
+        if isinstance(frequency, bool) or not isinstance(frequency, (int, float)) or not 0 < frequency < math.inf:
+            raise PydanticCustomError(
+                "frequency",
+                "should be a positive number, a list of them, or a table with from, to and points; leave it out where "
+                "nothing oscillates",
+            )
+        return frequency
 
     @field_validator("frequency")
     @classmethod
@@ -230,7 +272,7 @@ class Solver(Section):
     rho_tangential: Number | None = entry(
         None, "m/(N s)", "Tangential parameter; by default from the compliance.", gt=0
     )
-    tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", gt=0, lt=1)
+    tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", ge=1e-13, le=1e-3)
 
     @field_validator("harmonics")
     @classmethod

@@ -48,10 +48,15 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         loc = (*loc, "kind")
     elif kind == "missing" and isinstance(loc[-1], int):
         loc, message = loc[:-1], "has too few entries"
+    elif kind == "too_long":
+        count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+        message = f"has too many entries: {count}, and only {most} mean something"
     elif kind == "missing":
         return ".".join(
             str(step) for step in loc if not str(step).startswith("kind=")
         ), "missing, and it has no default"
+    for limit in {"gt", "ge", "lt", "le"} & set(detail.get("ctx", ())):  # pydantic writes 1e-13 with all its zeros
+        message = f"{message.rsplit(' ', 1)[0]} {detail['ctx'][limit]:g}"
     path: list[str] = []
     for step in loc:
         # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote
@@ -67,7 +72,7 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         ("Tuple should", "should"),
         ("a valid tuple", "a list"),
         ("a valid integer", "a whole number"),
-        (" valid", ""),
+        ("a valid ", "a "),
     ):
         message = message.replace(theirs, ours)
     key = ".".join(path)

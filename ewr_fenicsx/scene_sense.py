@@ -15,6 +15,11 @@ from ewr_fenicsx.scene_joint import READ_BY, Contact
 if TYPE_CHECKING:
     Scene = Any  # scene.py comes later; it calls these
 
+# Beyond these a value was probably given in another unit
+SOFTEST = 1e7  # Young's modulus [Pa]
+DENSITIES = (100.0, 25e3)  # [kg/m^3]
+THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of the mesh [m]
+
 
 def find_contradictions(scene: Scene) -> Iterator[str]:
     """What cannot be meant, one sentence each."""
@@ -27,6 +32,7 @@ def find_contradictions(scene: Scene) -> Iterator[str]:
 
 def find_doubts(scene: Scene) -> Iterator[str]:
     """What is allowed but probably not meant, one sentence each."""
+    yield from _doubt_units(scene)
     joint = laws_in_force(scene)
     static = [name for name, load in scene.loads.items() if load.harmonic == 0]
     for where, laws in joint.items():
@@ -56,6 +62,12 @@ def find_doubts(scene: Scene) -> Iterator[str]:
             yield f'solver.{key} = {getattr(scene.solver, key):g} does nothing: no flank has the law "{law}"; remove it'
 
 
+def doubt_extent(extent: float) -> Iterator[str]:
+    """What is probably not meant by a mesh so long [m], one sentence each."""
+    if extent > LONGEST:
+        yield f"geometry: the mesh is {extent:g} m long; lengths are in m: were mm meant?"
+
+
 def oscillating_loads(scene: Scene) -> list[str]:
     """Names of the loads that excite a vibration."""
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
@@ -72,6 +84,26 @@ def can_wear(laws: Contact) -> bool:
     """Whether the bodies press, part and rub there: what wear needs, and what it changes."""
     tangential = find_kind("tangential", laws.tangential)
     return find_kind("normal", laws.normal).opens and "slip" in tangential.histories and not tangential.slides
+
+
+def _doubt_units(scene: Scene) -> Iterator[str]:
+    """Values that are usual in other units than these."""
+    for body, material in scene.materials.items():
+        if material.young < SOFTEST:
+            unit = "e9 Pa (GPa)" if material.young < 2000 else "e6 Pa (MPa)"
+            young = f"{material.young:g}"
+            yield f"materials.{body}.young = {young} Pa is softer than rubber; was {young}{unit} meant?"
+        if not DENSITIES[0] <= material.density <= DENSITIES[1]:
+            yield (
+                f"materials.{body}.density = {material.density:g} kg/m^3 is that of no solid; was it given in "
+                "g/cm^3 or t/mm^3?"
+            )
+    if scene.elasticity.thickness > THICKEST:
+        thickness = f"{scene.elasticity.thickness:g}"
+        yield f"elasticity.thickness = {thickness} m; was {thickness}e-3 (mm) meant?"
+    for where, laws in laws_in_force(scene).items():
+        if laws.initial_gap > WIDEST:
+            yield f"{where}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"
 
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:

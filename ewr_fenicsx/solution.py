@@ -266,6 +266,13 @@ class PeriodicSolution:
         """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""
         return [*(f"fallback: {rung}" for rung in self.fallbacks), *self.cautions]
 
+    @cached_property
+    def touches(self) -> bool:
+        """Whether pairs that may part ever close; True where none may part."""
+        fields = [seen for law, seen in self.law_fields(self.problem.basis) if law.direction == "normal"]
+        parted = [seen["open"] for seen in fields if "open" in seen]
+        return not parted or not all(np.all(state) for state in parted)
+
     def summary(self) -> str:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
@@ -277,6 +284,8 @@ class PeriodicSolution:
             f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
             f"{self.seconds:.2f} s"
         ]
+        if not self.touches:
+            lines.append("  no pair ever touches: the bodies vibrate apart; are gaps in m, and does a load close them?")
         if self.left_out:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]

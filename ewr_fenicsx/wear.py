@@ -207,6 +207,8 @@ def evolve_wear(
         raise ModelError(
             f"cycles = {cycles}, keep_every = {keep_every}, checkpoint_every = {checkpoint_every}; all >= 1"
         )
+    if problem.frequency == 0:
+        raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
     rates[~find_wearing_pairs(problem)] = 0.0
     if not np.any(rates > 0):
         raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from ewr_fenicsx import cost_report, solve
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import SceneError
-from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.scene import Excitation, load_scene
 from ewr_fenicsx.study import run_study
 
 ROOT = Path(__file__).parents[2]
@@ -126,9 +127,12 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     monkeypatch.setattr(cost_report, "HIGHEST", 15)
     monkeypatch.setattr(cost_report, "STEPS", (100, 200))
     folder = tmp_path / "costs"
-    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder), *option]) == 0
+    folder.mkdir()
+    (folder / "cost.json").write_text("of an earlier survey")
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(folder), "--overwrite", *option]) == 0
     printed = capsys.readouterr()
     assert f"reference: {name}" in printed.out
+    assert re.search(r"^at \d+ Hz$", printed.out, re.MULTILINE)
     assert "settings" in printed.err and "left" in printed.err
     found = json.loads((folder / "cost.json").read_text(encoding="utf-8"))
     errors = {r["value"]: r["errors"]["output"] for r in found["rows"] if r["knob"] == "N"}
@@ -138,6 +142,31 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     stages = {"mesh", "JIT", "matrices", "interface", "reduction", "solve: compose", "solve: newton", "write"}
     assert set(found["stages"]) == stages
     assert "stages of a run: mesh " in printed.out
+
+
+@pytest.mark.parametrize(
+    ("there", "option", "message"),
+    [
+        ("summary.json", (), r"result folder .*there exists and is kept; give --overwrite"),
+        ("summary.json", ("--overwrite",), r"there holds 'summary\.json', which this command does not write"),
+        ("cost.json", (), r"result folder .*there exists and is kept; give --overwrite"),
+    ],
+)
+def test_costs_are_not_dropped_among_other_files(tmp_path, capsys, there, option, message):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / there).write_text("{}")
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(tmp_path / "there"), *option]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert [path.name for path in (tmp_path / "there").iterdir()] == [there]
+
+
+def test_the_costs_of_a_sweep_name_the_frequency_that_they_are_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(cost_report, "ORDERS", (1, 3))
+    monkeypatch.setattr(cost_report, "HIGHEST", 7)
+    scene = load_scene(write_scene(tmp_path))
+    swept = scene.model_copy(update={"excitation": Excitation(frequency=(700.0, 800.0, 900.0))})
+    report = cost_report.survey_scene(build_chain(swept))
+    assert report.told.startswith("at 700 Hz, the first of the sweep's 3 frequencies\nreference: ")
 
 
 def test_nothing_to_choose_where_nothing_oscillates(tmp_path):

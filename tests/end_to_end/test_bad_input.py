@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ewr_fenicsx.cli import main
+from ewr_fenicsx.cli import main, parse_arguments
 
 ROOT = Path(__file__).parents[2]
 SCENE = """
@@ -187,3 +187,19 @@ def test_installed_command_prints_one_message_and_exits_with_2(tmp_path):
     assert done.stderr.startswith("ewr: scene scene.toml:")
     assert 'did you mean "title"?' in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("-out", "--out"), ("-out=there", "--out"), ("-overwrite", "--overwrite"), ("--overwite", "--overwrite")],
+)
+def test_an_option_with_a_dash_too_few_is_not_for_petsc(given, meant, capsys):
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(["run", "scene.toml", given, "there"])
+    assert caught.value.code == 2
+    assert f"unknown argument: {given}; was {meant} meant?" in capsys.readouterr().err
+
+
+def test_options_for_petsc_are_left_to_it():
+    options = ["-ewr_snes_monitor", "-ewr_snes_max_it", "30", "-options_left", "-log_view"]
+    assert parse_arguments(["run", "scene.toml", "--out", "there", *options])[1] == options

@@ -133,7 +133,7 @@ def test_rotation_takes_the_place_of_the_axial_pull(tmp_path):
     for speed in (5000, 10000):
         text = (
             head
-            + f"[loads.axial_pull]\nkind = 'rotation'\nspeed = {speed}\n\n[loads.tip_shake]"
+            + f"[loads.axial_pull]\nkind = 'rotation'\nspeed = {speed}\ncentre = [0.0, 0.0]\n\n[loads.tip_shake]"
             + tail.split("[loads.tip_shake]")[1]
         )
         (tmp_path / "scene.toml").write_text(text)
@@ -323,3 +323,24 @@ def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
     assert len(shares) == 3, "separation, the law and the floating body share the solve"
     solve_share = summary["seconds"]["solve"] / sum(summary["seconds"].values())
     assert sum(shares) == pytest.approx(100 * solve_share, abs=0.2)
+
+
+def test_a_phase_is_in_degrees(tmp_path):
+    """A quarter of a period later, and everything else is the same."""
+    outputs = []
+    for phase in (0.0, 90.0):
+        text = SCENE.format(source=BLOCKS).replace("harmonic = 1\n", f"harmonic = 1\nphase = {phase}\n")
+        (tmp_path / "scene.toml").write_text(text)
+        scene = load_scene(tmp_path / "scene.toml")
+        problem = pose_problem(scene, build_chain(scene).reduction.model)
+        outputs.append(solve(problem, tolerance=1e-12).output("tip"))
+    assert abs(outputs[0][1]) > 0
+    np.testing.assert_allclose(outputs[1], 1j ** np.arange(4) * outputs[0], atol=1e-8 * abs(outputs[0][1]))
+
+
+def test_a_geometry_in_millimetres_is_told_of(tmp_path, capsys):
+    text = SCENE.format(source=BLOCKS) + "[geometry.parameters]\nwidth = 40.0\nblade_height = 60.0\ndisk_height = 30.0"
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["info", str(tmp_path / "scene.toml")]) == 0
+    assert "ewr: warning: scene" in (told := capsys.readouterr().err)
+    assert "geometry: the mesh is 90 m long; lengths are in m: were mm meant?" in told

@@ -17,10 +17,12 @@ from ewr_fenicsx.estimates import (
     estimate_modes,
     estimate_samples,
     estimate_together,
+    estimate_weight,
     look_ahead,
     match_mobility,
     measure_distance,
     measure_step,
+    read_friction_weight,
     step_towards,
 )
 
@@ -85,6 +87,16 @@ def test_the_effect_of_the_samples_is_estimated(truth):
     true = measure_distance(coarse, fine)
     assert true > 1e-3
     assert true / 5 < estimate_samples(coarse) < 5 * true
+
+
+@pytest.mark.parametrize("harmonics", [3, 9])
+def test_the_effect_of_the_weight_is_estimated(harmonics):
+    """Where a pair slips: the estimate against a solve with twice the weight."""
+    solution = solve(rub_and_lift_off(harmonics))
+    twice = replace(solution.problem, rho_tangential=2 * read_friction_weight(solution.problem))
+    true = measure_distance(solve(twice, start=solution), solution)
+    assert true > 5e-3
+    assert estimate_weight(solution) == pytest.approx(true, rel=0.2)
 
 
 def test_a_step_on_the_same_problem_goes_nowhere():
@@ -259,3 +271,15 @@ def test_dropped_modes_are_seen():
         assert limits[0] <= estimate <= limits[1]
         true = measure_distance(without, solution)
         assert true / 5 < estimate < 5 * true
+
+
+def test_a_third_of_the_modes_are_looked_at():
+    """Two of six: the highest by itself is too stiff to say anything."""
+    full = structure_with_modes(0.5, 1.0, 1.5, 2.0, 3.0, 1e5)
+    solution = solve(ContactProblem(full, ContactLaws(friction=0.2), 0.05, 5))
+    true = [
+        measure_distance(solve(replace(solution.problem, model=drop_modes(full, modes))), solution)
+        for modes in ([11], [10, 11])
+    ]
+    assert true[0] < 1e-5 < 1e-2 < true[1]
+    assert estimate_modes(solution, range(6, 12)) == pytest.approx(true[1], rel=0.2)

@@ -151,6 +151,9 @@ def test_other_counts_of_values_are_refused():
         ({"initial_gap": [0.0, -1e-6]}, "initial_gap = .*; it must be finite and not negative"),
         ({"normal": "prescribed"}, "give both or neither"),
         ({"normal_force": 1.0}, "give both or neither"),
+        ({"normal": "prescribed", "normal_force": -50.0}, "normal_force has the mean -50.0; it must be real, finite"),
+        ({"normal": "prescribed", "normal_force": {0: [1.0, -2.0], 1: 5.0}}, r"mean \[1.0, -2.0\]; .* not negative"),
+        ({"normal": "prescribed", "normal_force": {0: 1j}}, "normal_force has the mean 1j; it must be real"),
     ],
 )
 def test_laws_that_make_no_sense_are_refused(arguments, message):
@@ -163,6 +166,8 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
     [
         ({"frequency": -1.0}, "frequency = -1.0 Hz; give a positive one"),
         ({"frequency": np.nan}, "frequency = nan Hz"),
+        ({"frequency": "140"}, "frequency = '140'; give a number of Hz"),
+        ({"frequency": None}, "frequency = None; give a number of Hz"),
         ({"rho_normal": 0.0}, "rho_normal = 0.0; it must be positive"),
         ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
         ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),
@@ -171,6 +176,10 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
             {"harmonics": (1, 3), "load": {1: np.ones(4)}},
             r"pair 0 may part, and the problem keeps only harmonics \(1, 3\): .* pulls as much as it pushes; add 0",
         ),
+        ({"load": {1: [1.0, 2.0, 3.0]}}, r"load\[1\] has 3 entries; expected 4"),
+        ({"load": {0: [1j, 0.0, 0.0, 0.0]}}, r"load\[0\] is the mean load and must be real"),
+        ({"load": {1: [np.nan, 0.0, 0.0, 0.0]}}, r"load\[1\] has entries that are not finite"),
+        ({"load": {-1: np.ones(4)}}, "harmonic -1; harmonics are whole numbers from 0"),
         ({"samples": 10}, "samples = 10 cannot resolve harmonic 5; give at least 11"),
     ],
 )

@@ -14,7 +14,8 @@ import pytest
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import MeshError
-from ewr_fenicsx.mesh import JointMesh, build_mesh, evaluate_scaled_jacobian
+from ewr_fenicsx.mesh import JointMesh, build_mesh, evaluate_scaled_jacobian, measure_extent
+from ewr_fenicsx.scene_sense import doubt_extent
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
 
@@ -419,3 +420,11 @@ def test_scaled_jacobian_of_ideal_cells_is_one():
         [[(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]], dtype=float
     )
     assert evaluate_scaled_jacobian(hexahedron, "hexahedron")[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("scale", "doubted"), [(1.0, False), (1e3, True)])
+def test_a_mesh_in_millimetres_is_doubted(squares, scale, doubted):
+    mesh = build_mesh(squares(), {"width": 0.04 * scale}, MPI.COMM_SELF)
+    extent = measure_extent(mesh)
+    assert extent == pytest.approx(1.5 + 0.04 * scale)
+    assert [doubt.split(";")[0] for doubt in doubt_extent(extent)] == ["geometry: the mesh is 41.5 m long"] * doubted

@@ -9,10 +9,11 @@ import pytest
 from petsc4py import PETSc
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, snes, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, newton, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import NotConverged, UnheldBody
+from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.newton import carry_over, run_newton
+from ewr_fenicsx.scene import Solver
 
 PROBLEMS = {
     "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
@@ -146,13 +147,31 @@ def test_monitors_work_under_the_prefix(petsc_options, capfd):
     assert "SNES Function norm" in printed
 
 
-def test_failure_is_an_error_that_carries_the_best_iterate():
+@pytest.mark.parametrize("tolerance", [0.0, 1e-17, 0.5, np.nan])
+def test_tolerances_that_mean_nothing_are_refused(tolerance):
+    with pytest.raises(ModelError, match=f"tolerance = {tolerance:g}; give one from 1e-13, .*, to 0.001"):
+        solve(PROBLEMS["floating, slip"], tolerance=tolerance)
+
+
+def test_the_bounds_of_the_tolerance_are_those_of_a_scene():
+    bounds = {type(m).__name__: m for m in Solver.model_fields["tolerance"].metadata}
+    assert (bounds["Ge"].ge, bounds["Le"].le) == (newton.TIGHTEST, newton.LOOSEST)
+
+
+@pytest.fixture
+def unreachable(monkeypatch) -> float:
+    """A tolerance that rounding does not let any solve meet."""
+    monkeypatch.setattr(newton, "TIGHTEST", 0.0)
+    return 1e-300
+
+
+def test_failure_is_an_error_that_carries_the_best_iterate(unreachable):
     """A tolerance below rounding cannot be met: what was found up to there comes with the error."""
     problem = PROBLEMS["floating, slip"]
     with pytest.raises(
         NotConverged, match=r"no periodic solution at 481 Hz: .*; residual .* after \d+ Newton steps.*ried"
     ) as caught:
-        solve(problem, tolerance=1e-300)
+        solve(problem, tolerance=unreachable)
     best = caught.value.best
     assert caught.value.exit_code == 3
     assert not best.converged and 0 < best.residual < 1e-10
@@ -160,17 +179,17 @@ def test_failure_is_an_error_that_carries_the_best_iterate():
     balance = HarmonicBalance(best.problem.system)
     found = np.linalg.norm(balance.residual(balance.pack(best.forces, best.rigid)))
     assert best.residual == pytest.approx(found, rel=1e-6, abs=1e-15)
-    returned = solve(problem, tolerance=1e-300, raise_on_failure=False)
+    returned = solve(problem, tolerance=unreachable, raise_on_failure=False)
     assert not returned.converged
     np.testing.assert_array_equal(returned.forces, best.forces)
 
 
-def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options):
+def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options, unreachable):
     """A start next to the solution is kept, though the attempts after it, from full stick, get nowhere."""
     problem = PROBLEMS["floating, slip"]
     near = solve(problem, tolerance=1e-6)
     petsc_options(snes_max_it=0)
-    lost = solve(problem, start=near, tolerance=1e-30, raise_on_failure=False)
+    lost = solve(problem, start=near, tolerance=unreachable, raise_on_failure=False)
     assert not lost.converged and lost.residual < 1e-6
 
 
@@ -362,3 +381,24 @@ def test_a_static_problem_has_one_harmonic():
     np.testing.assert_allclose(
         model.stiffness @ solution.coordinates[0].real, load + model.normal.T @ force, atol=1e-10
     )
+
+
+def test_a_start_on_another_joint_is_refused():
+    one = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.1, 1)
+    six = ContactProblem(dovetail(), ContactLaws(friction=0.3), 200.0, 1)
+    with pytest.raises(ModelError, match="start has 6 pairs, the problem 1; give a solution on the same joint"):
+        solve(one, start=solve(six))
+    with pytest.raises(ModelError, match="start has 1 pairs, the problem 6"):
+        solve(six, start=solve(one))
+
+
+def test_without_a_mass_the_rubbing_spring_is_quasi_static():
+    """The play operator: the spring lags behind the load by what friction carries, and stops at its turn."""
+    laws = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+    solution = solve(ContactProblem(friction_oscillator(mass=0.0), laws, 0.01, 31))
+    load = np.cos(2 * np.pi * np.arange(512) / 512)
+    motion, x = np.zeros(512), 0.0
+    for k in range(1024):
+        x = np.clip(x, load[k % 512] - 0.3, load[k % 512] + 0.3)
+        motion[k % 512] = x
+    np.testing.assert_allclose(solution.history("slip", 512)[:, 0], motion, atol=0.01)

@@ -30,6 +30,9 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"mass": SKEW}, "mass is not symmetric: largest difference 0.5; symmetrise it or check its assembly"),
         ({"stiffness": SKEW}, "stiffness is not symmetric: largest difference 0.5"),
         ({"stiffness": -np.eye(2)}, "stiffness is not positive semidefinite: scaled eigenvalue -1"),
+        ({"mass": -np.eye(2)}, "mass is not positive semidefinite: scaled eigenvalue -1; check its sign"),
+        ({"mass": [[1.0, 2e-5], [2e-5, 1e-10]]}, "mass is not positive semidefinite: scaled eigenvalue -0.0289"),
+        ({"mass": np.zeros((2, 2)), "stiffness": np.diag([1.0, 0.0])}, "mass is zero .* leaves 1 rigid motions free"),
         ({"normal": None}, "give normal, tangential or both"),
         ({"normal": [[1.0, 0.0, 0.0]]}, r"normal has shape \(1, 3\); expected \(any, 2\)"),
         (
@@ -89,7 +92,14 @@ def test_rows_by_direction():
 
 
 @pytest.mark.parametrize(
-    "model", [dovetail(), random_structure(tangents=2), friction_oscillator()], ids=lambda m: f"n={m.size}"
+    "model",
+    [
+        dovetail(),
+        random_structure(tangents=2),
+        friction_oscillator(),
+        replace(friction_oscillator(), outputs={"tip/x": [1.0], "tip/y": [2.0], "tip": [3.0], "50 %2F": [4.0]}),
+    ],
+    ids=lambda m: f"n={m.size}, {len(m.outputs)} outputs",
 )
 def test_a_model_survives_its_file(model, tmp_path):
     path = tmp_path / "model.h5"
@@ -203,3 +213,11 @@ def test_holding_nothing_returns_the_model_itself():
     held, basis = hold(model, np.zeros((0, 26)))
     assert held is model
     np.testing.assert_array_equal(basis, np.eye(26))
+
+
+def test_massless_coordinates_are_no_negative_mass():
+    """Also where the rounding of a projection leaves a little on or beside the diagonal."""
+    mass = np.diag([1.0, 0.0])
+    mass[0, 1] = mass[1, 0] = 1e-17
+    mass[1, 1] = -1e-17
+    assert ReducedModel(**PLAIN | {"mass": mass}).size == 2

@@ -70,11 +70,18 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[contact]\nfriction = -0.2", r"contact\.friction = -0\.2: should be greater than or equal to 0"),
         ("[contact]\nfriction = '0.2'", r"contact\.friction = '0\.2': should be a number"),
         ("[contact]\nfriction = true", r"contact\.friction = True: should be a number"),
+        ("[solver]\ntolerance = 1e-17", r"solver\.tolerance = 1e-17: should be greater than or equal to 1e-13"),
+        ("[solver]\ntolerance = 0.5", r"solver\.tolerance = 0\.5: should be less than or equal to 0\.001"),
         ("[solver]\ntolerance = nan", r"solver\.tolerance = nan: should be a finite number"),
         ("[materials.disk]\npoisson = 0.5", r"materials\.disk\.poisson = 0\.5: should be less than 0\.5"),
         ("[elasticity]\nplane = 'stres'", r"elasticity\.plane = 'stres': should be 'stress' or 'strain'"),
         ("[elasticity]\ndegree = 3", r"elasticity\.degree = 3: should be 1 or 2"),
         ("[reduction]\nmodes = 2.5", r"reduction\.modes = 2\.5: should be a whole number"),
+        (
+            "[loads.s]\nboundary = 'tip'\nforce = [0, 1, 0]",
+            r"loads\.s\.force = \[0, 1, 0\]: has too many entries: 3, and only 2 mean something$",
+        ),
+        ("[loads.s]\nboundary = 'tip'\nforce = [1]", r"loads\.s\.force = \[1\]: has too few entries$"),
         ("[supports]\nclamp = 'clamp'", r"supports\.clamp = 'clamp': should be a list"),
         ("[solver]\nharmonics = '5'", r"solver\.harmonics = '5': should be a whole number, or should be a list"),
         ("[solver]\nharmonics = [1, 3]", r'solver\.harmonics = \[1, 3\] leave out harmonic 0, .* "pull" acts'),
@@ -86,6 +93,7 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
             r"loads\.s: a static load .* was harmonic = 1 meant\?",
         ),
         ("[loads.s]\nkind = 'rotatoin'\nspeed = 1", r'loads\.s\.kind = \'rotatoin\': should be "force" or "rotation"'),
+        ("[loads.s]\nkind = 'rotation'\nspeed = 9000", r"loads\.s\.centre: missing, and it has no default$"),
         ("[loads.s]\nkind = 'rotation'\nspeed = 0", r"loads\.s\.speed = 0: should be greater than 0"),
         ("[damping]\nkind = 'rayleigh'\nalpha = 1", r"damping\.beta: missing"),
         ("[damping]\nfrequencies = [3000, 500]", r"damping: the two frequencies should rise"),
@@ -167,13 +175,13 @@ def test_effects_follow_the_scene(read):
     }
     with pytest.warns(SceneWarning, match="friction that never resists"):
         assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
-    assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000")
+    assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000\ncentre = [0, -0.3]")
     odd = SCENE.replace("force = [0, 20e3]", "force = [0, 20e3]\nharmonic = 1") + "[solver]\nharmonics = [1, 3, 5]"
     assert "odd harmonics only" in on(odd + "\n[contact]\nnormal = 'prescribed'\nnormal_force = 100.0")
 
 
 def test_rotation_is_static():
-    assert RotationLoad(kind="rotation", speed=9000).harmonic == 0
+    assert RotationLoad(kind="rotation", speed=9000, centre=(0.0, -0.3)).harmonic == 0
 
 
 def test_reference_page_is_the_one_generated_from_the_definition():

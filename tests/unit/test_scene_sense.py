@@ -143,6 +143,23 @@ def test_a_static_scene_needs_no_frequency(read):
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 950, points = 1 }",
             "excitation.frequency.points = 1: should be greater than or equal to 2",
         ),
+        *(
+            (
+                HEAD + PULL + SHAKE + f"[excitation]\nfrequency = {wrong}",
+                f"excitation.frequency = {shown}: should be a positive number, a list of them, or a table with from, "
+                "to and points; leave it out where nothing oscillates",
+            )
+            for wrong, shown in (("0", "0"), ("-3.0", "-3.0"), ("'140'", "'140'"), ("inf", "inf"), ("true", "True"))
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = [0.0, 3.0]",
+            "scene.toml: excitation.frequency.0 = 0.0: should be greater than 0",
+        ),
+        (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 0, to = 3, points = 2 }",
+            "scene.toml: excitation.frequency.from = 0: should be greater than 0",
+        ),
+        (HEAD + PULL + SHAKE + "[excitation]\nfrequency = {from = 3, to = 9}", "excitation.frequency.points: missing"),
         (HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 900]", "should be frequencies that rise"),
         (
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 950, to = 900, points = 3 }",
@@ -194,6 +211,13 @@ def test_all_contradictions_come_at_once(read):
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = [900, 1000]",
             "excitation.frequency is a sweep, and there are no outputs",
         ),
+        (SCENE + "[materials.blade]\nyoung = 210", r"materials.blade.young = 210 Pa .* was 210e9 Pa \(GPa\) meant"),
+        (SCENE + "[materials.blade]\nyoung = 113800.0", r"young = 113800 Pa .* was 113800e6 Pa \(MPa\) meant"),
+        (SCENE + "[materials.disk]\ndensity = 4.43", r"disk.density = 4.43 kg/m\^3 .* was it given in g/cm"),
+        (SCENE + "[materials.disk]\ndensity = 4.43e6", r"density = 4.43e\+06 kg/m\^3 is that of no solid"),
+        (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
+        (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
+        (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
         (
             SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[solver]\nrho_normal = 1e9",
             'solver.rho_normal = 1e[+]09 does nothing: no flank has the law "unilateral"',

@@ -243,6 +243,15 @@ def test_violations_between_the_samples_are_seen(rubbing):
         assert few.merit[name] == pytest.approx(value, rel=0.02) and value > 0, name
 
 
+def test_figures_of_several_pairs_are_means_over_them(floating):
+    """Pairs that slide unequally, so that a mean is neither a sum nor any one of them."""
+    count, dt = floating.problem.basis.samples, 1 / 200.0 / floating.problem.basis.samples
+    slid = np.abs(floating.history("slip_velocity", count)).sum(axis=0) * dt
+    assert slid.max() > 1.5 * slid.min()
+    assert floating.merit["J_T"] == pytest.approx(slid.sum() / 6, rel=1e-12)
+    assert floating.merit["J_N"] == pytest.approx(floating.history("gap", count).mean(axis=0).sum() / 6, rel=1e-9)
+
+
 def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
     """The friction force and the velocity share their harmonics: no truncation is left in the balance."""
     assert floating.merit["friction_dissipation"] > 0.2 * floating.merit["excitation_work"]
@@ -304,6 +313,19 @@ def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
     assert lines[3] == "  found by a fallback: there may be other solutions, and the stability of this one is not known"
     assert "other solutions" not in replace(late, converged=False).summary()
     assert "other solutions" not in rubbing.summary()
+
+
+@pytest.mark.parametrize("gap, touches", [(0.0, True), (100.0, False)])
+def test_bodies_that_never_touch_are_told(gap, touches):
+    solution = solve(ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3, initial_gap=gap), 0.1, 3))
+    assert solution.converged and solution.touches == touches
+    assert (np.abs(solution.forces).max() > 1e-12) == touches
+    assert ("no pair ever touches" in solution.summary()) != touches
+
+
+def test_where_nothing_may_part_nothing_is_told():
+    for laws in (ContactLaws("bonded", "bonded"), ContactLaws("prescribed", normal_force=1.0)):
+        assert "touches" not in solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 3)).summary()
 
 
 # Invariances of the whole solve

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, ModalRatios, PerMode
+from ewr_fenicsx.materials import TITANIUM, PerMode, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.reduction import keep_more_modes, reduce_structure
 
@@ -28,7 +28,7 @@ FIRST_MODE = 1090.0  # Hz, of the default fir tree in full stick
 def assemble(source, parameters=None, pull=1000.0, **options):
     mesh = build_mesh(source, parameters or {}, MPI.COMM_WORLD)
     loads = [EdgeForce("pull", "tip", (0.0, pull)), EdgeForce("push", "tip", (10.0, 0.0), 1, 0.4)]
-    options = {"damping": ModalRatios((500.0, 3000.0), (0.002, 0.002))} | options
+    options = {"damping": RayleighRatios((500.0, 3000.0), (0.002, 0.002))} | options
     structure = assemble_structure(
         mesh,
         materials=dict.fromkeys(mesh.bodies, TITANIUM),

@@ -209,6 +209,21 @@ def test_no_wear_without_a_coefficient_leaves_the_solution_alone():
         evolve_wear(dovetail_problem(), 5, -1.0)
 
 
+def test_a_joint_that_sticks_is_crossed_in_a_few_jumps():
+    """Its wear is rounding; errors are to be compared with how far the load presses contact in, not with that."""
+    sticking = ContactProblem(dovetail(excitation=0.5), ContactLaws(friction=0.8), 300.0, harmonics=3)
+    history = evolve_wear(sticking, 500, WEAR_OF_DOVETAIL, Tolerance(share=0.01))
+    assert history.cycles[-1] == 500
+    assert history.depth[-1].max() < 1e-18
+    assert history.solves < 30
+
+
+def test_nothing_wears_at_rest():
+    at_rest = replace(dovetail_problem(), frequency=0.0, load={0: dovetail().load[0]})
+    with pytest.raises(ModelError, match="no pair can wear: frequency = 0 Hz"):
+        evolve_wear(at_rest, 5, WEAR_OF_DOVETAIL)
+
+
 def test_wear_stops_at_a_given_depth():
     history = evolve_wear(punch(CROWN), 500, COEFFICIENT, deepest=1e-7)
     assert history.depth[-1].max() > 1e-7 > history.depth[-2].max()
