@@ -80,8 +80,8 @@ class RayleighRatios:
 class PerMode:
     """The same ``ratio`` of critical damping for each mode of the reduced model with its joint open.
 
-    Modes of the joint closed or stuck have at most this ratio, and far less where it holds a body that floats without
-    it: rigid motions are not damped.
+    So have, where the joint holds bodies that float without it, as many of the lowest modes of full stick as there are
+    rigid motions. Others have somewhat less while the joint is closed.
     """
 
     ratio: float

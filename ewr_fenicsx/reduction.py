@@ -63,6 +63,16 @@ class CraigBampton:
         clamped = self.structure.mass.comm.tompi4py().allreduce(len(self.structure.fixed_dofs))
         return self.structure.mass.getSize()[0] - clamped - len(self.contact_dofs)
 
+    @property
+    def full_stick_ratio(self) -> float:
+        """Ratio of critical damping of the lowest mode of the bonded joint."""
+        model = self.model
+        stuck = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
+        squares, shapes = scipy.linalg.eigh(stuck.T @ model.stiffness @ stuck, stuck.T @ model.mass @ stuck)
+        omega = 2 * np.pi * self.full_stick.frequency[0]
+        shape = stuck @ shapes[:, np.argmin(np.abs(squares - omega**2))]
+        return float(shape @ model.damping @ shape / (2 * omega))
+
     def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
         """The displacement field [m] of real reduced coordinates ``(n,)``."""
         field = dolfinx.fem.Function(self.structure.space)
@@ -247,27 +257,45 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
 
     mass, stiffness, damping = (project(m) for m in (structure.mass, structure.stiffness, structure.damping))
     normal, tangential = rows(interface.normal_gap), rows(interface.tangential_slip)
-    if structure.modal_damping is not None:
-        damping = _damp_modes(mass, stiffness, structure.modal_damping)
     load: dict[int, np.ndarray] = {}
     for entry in structure.loads:
         amplitude = entry.amplitude * _sum(basis.T @ entry.vector.array, comm)
         load[entry.harmonic] = load.get(entry.harmonic, 0) + amplitude
     outputs = {name: _sum(basis.T @ row.array, comm) for name, row in structure.outputs.items()}
     rigid = _rigid_motions(structure, interface, contact, count, stiffness)
+    if structure.modal_damping is not None:
+        held = np.vstack([normal, tangential])
+        damping = _damp_modes(mass, stiffness, held, rigid.shape[1], structure.modal_damping)
     return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
 
 
-def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, ratio: float) -> np.ndarray:
-    """``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the open joint.
+def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, floating: int, ratio: float) -> np.ndarray:
+    """Damping with a ratio for each mode of the open joint, and for the modes of full stick that hold floating bodies.
 
-    These span all motions. A mode ``phi = Phi c`` of the joint held in any way has ``phi^T D phi = 2 ratio sum(c_i^2
-    omega_i)``, by Jensen's inequality at most ``2 ratio omega``: contact never raises the ratio above the one asked
-    for. Modes of the closed joint would leave out the motions that it forbids, and overdamp them where it opens.
+    ``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the open joint, which span all
+    motions: modes of full stick alone would leave out those that it forbids, and overdamp them where the joint opens.
+    A mode of the joint held in any way then has at most this ratio, the root being concave (Jensen). Where the joint
+    holds ``floating`` rigid motions, which are not damped, it has far less: what the lowest as many modes of full stick
+    lack is added.
+
+    Args:
+        mass, stiffness: ``(n, n)``.
+        held: ``(m, n)`` rows of the joint.
+        floating: Number of rigid motions of the open joint.
+        ratio: Of critical damping.
     """
     values, vectors = scipy.linalg.eigh(stiffness, mass)
     weighted = mass @ vectors
     damping = (weighted * (2 * ratio * np.sqrt(np.maximum(values, 0)))) @ weighted.T
+    if floating:
+        stuck = scipy.linalg.null_space(held)
+        lowest = min(floating, stuck.shape[1]) - 1
+        values, vectors = scipy.linalg.eigh(
+            stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck, subset_by_index=[0, lowest]
+        )
+        shapes = stuck @ vectors
+        lack = np.diag(2 * ratio * np.sqrt(np.maximum(values, 0))) - shapes.T @ damping @ shapes
+        damping += mass @ shapes @ lack @ shapes.T @ mass
     return 0.5 * (damping + damping.T)
 
 

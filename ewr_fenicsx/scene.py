@@ -100,8 +100,8 @@ class RatioDamping(Section):
 class ModalDamping(Section):
     """The same ratio of critical damping for every mode of the open joint.
 
-    Modes of the closed joint have at most that, and the lowest far less where it holds a body that floats without it:
-    rigid motions are not damped. Where the closed joint's damping is known, give it as `ratios`.
+    So have the lowest modes of the stuck joint, where it holds a body that floats without it; its others have somewhat
+    less. `ewr info` tells the ratio of the first stuck mode.
     """
 
     kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")
