@@ -76,7 +76,9 @@ def measure_extent(mesh: JointMesh) -> float:
     """Longest side of the box around a mesh [m]; collective."""
     points = mesh.domain.geometry.x
     ends = np.array([points.max(axis=0, initial=-np.inf), -points.min(axis=0, initial=np.inf)])
-    return float(mesh.domain.comm.allreduce(ends, op=MPI.MAX).sum(axis=0).max())
+    of_all = np.empty_like(ends)
+    mesh.domain.comm.Allreduce(ends, of_all, op=MPI.MAX)
+    return float(of_all.sum(axis=0).max())
 
 
 def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -> JointMesh:
