@@ -6,7 +6,6 @@ import os
 import shlex
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,7 +33,7 @@ _ENVIRONMENT = dict(os.environ)
 
 
 @pytest.fixture
-def mpirun(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+def mpirun(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Start a command on several MPI ranks and wait for it.
 
     Returns:
@@ -65,7 +64,7 @@ def mpirun(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
         # mpirun's own timeout ends the ranks too; ours is for an mpirun that hangs itself.
         launch = ["mpirun", "-n", str(ranks), "--bind-to", "none", "--map-by", ":OVERSUBSCRIBE"]
         launch += ["--timeout", str(int(timeout))]
-        said = Path(tempfile.mkdtemp(prefix="stderr_of_ranks_", dir=tmp_path))
+        said = tmp_path_factory.mktemp("stderr_of_ranks")  # tests look at what a run leaves in its own folder
         launch += ["sh", "-c", f'exec "$@" 2> {shlex.quote(str(said))}/$OMPI_COMM_WORLD_RANK', "rank"]
         finished = subprocess.run(
             [*launch, *map(os.fspath, argv)],
