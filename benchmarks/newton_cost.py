@@ -106,6 +106,7 @@ def break_down(model: ReducedModel, frequencies: list[float], harmonics: int, fr
     """Where the time of cold solves goes: seconds and calls by part, largest first."""
     import ewr_fenicsx.balance as balance_module
     import ewr_fenicsx.contact_problem as problem_module
+    import ewr_fenicsx.ladder as ladder_module
     import ewr_fenicsx.newton as newton_module
 
     stopwatch = Stopwatch()
@@ -116,9 +117,11 @@ def break_down(model: ReducedModel, frequencies: list[float], harmonics: int, fr
         (HarmonicBalance, "sample", "synthesis of motions"),
         (HarmonicBalance, "linearise", "linearise"),
         (balance_module.NewtonStep, "_assemble", "assembly of the mixed rows"),
-        (balance_module.NewtonStep, "solve", "factorisation and the rest of a step's solve"),
+        (balance_module.NewtonStep, "multiply", "products with the Jacobian"),
+        (balance_module.Factorisation, "__init__", "factorisation, less what is listed"),
+        (balance_module.Factorisation, "solve", "solves with factors of earlier steps, less products"),
         (balance_module.Elimination, "of", "elimination of steady rows"),
-        (newton_module, "run_newton", "SNES and line search, less what follows"),
+        (ladder_module, "run_newton", "SNES and line search, less what is listed"),
         (newton_module, "solve", "the rest of solve"),
     ]
     parts += [(law, "evaluate", f"law: {law.__name__}") for law in (Signorini, Coulomb)]
