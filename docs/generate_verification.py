@@ -176,7 +176,50 @@ accelerated, from rest and from full stick, told by an oracle when to stop. Empt
     ]
 
 
+def describe_hard_cases(found: dict) -> list[str]:
+    """What converges from cold, and what is known of the rest, as Markdown."""
+    rows = [[part, *row] for part in ("model", "harmonics", "rho") for row in found["tables"][part]]
+    named = [[o["name"], o["status"], o["steps"], o["seconds"]] for o in found["degenerate"]]
+    lines = [
+        f"""A sample of the blade root and two smaller joints, cold and without tuning (`benchmarks/hard_cases.py`):
+frequencies from 0.3 to 3 times the first full-stick mode, full stick to flanks that lift off, friction 0.01 to 1.5,
+damping 1e-4 to 5e-2, gaps, weights rho a thousandfold off (`rho`: normal and tangential, over the defaults). Converged
+means a residual below 1e-8, evaluated anew; others end with a reason, or at {found["cap_seconds"]:g} s of work.""",
+        "",
+        write_table(["by", "", *found["columns"]], [list(map(show_number, row)) for row in rows]),
+        "",
+        write_table(["degenerate case", "", "Newton steps", "s"], [list(map(show_number, row)) for row in named]),
+    ]
+    motions = read_results("failures_in_time")
+    if motions is None:
+        return lines
+    told = ", ".join(f"{count} {kind}" for kind, count in motions["motions"].items())
+    return [
+        *lines,
+        "",
+        f"""Do those without a solution have a periodic motion at all? Stepped in time for hundreds of periods
+(`benchmarks/failures_in_time.py`), {told}: the median change from one period to the next, relative.""",
+        "",
+        write_table(motions["header"], [list(map(show_number, row)) for row in motions["rows"]]),
+    ]
+
+
+def describe_newton_cost(found: dict) -> list[str]:
+    """Times of warm and cold solves over one dense solve as Markdown."""
+    keys = ["N", "frequencies", "count", "unknowns", "dense ms", "warm", "cold", "worst warm", "worst cold"]
+    keys += ["w steps", "c steps"]
+    header = [*keys[:4], "dense solve, ms", *keys[5:9], "Newton steps, warm", "cold"]
+    return [
+        """Whole solves of the blade root over **one** dense `numpy.linalg.solve` of the full system, in one process
+(`benchmarks/newton_cost.py`): warm from 1 % away in frequency, and cold. Medians over 500 to 1500 Hz.""",
+        "",
+        write_table(header, [[show_number(row[key]) for key in keys] for row in found["medians"]]),
+    ]
+
+
 BENCHMARKS = {
+    "Hard cases": ("hard_cases", describe_hard_cases),
+    "What a solve costs": ("newton_cost", describe_newton_cost),
     "Another code: pyHarm": ("peers", describe_peers),
     "Time to a given error: harmonic balance and time stepping": ("against_time_stepping", describe_times),
 }
