@@ -29,7 +29,8 @@ from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
 TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
 TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
-APERIODIC = 0.1  # change from period to period that casts doubt on there being a periodic motion
+# Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
+APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
 TIGHTEST, LOOSEST = 1e-13, 1e-3
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
@@ -187,9 +188,10 @@ def start_from_time_stepping(
         attempt = min(attempt, found, key=lambda a: a.residual)
         if attempt.residual < GROSS:
             break
-    told = f"from period to period its motion still changes by {steady.changes[-1]:.0%} after {steady.periods}"
-    reason = attempt.reason if steady.changes[-1] < APERIODIC else f"{attempt.reason} ({told})"
-    return replace(attempt, iterations=steps, reason=reason)
+    change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
+    told = f"from period to period its motion still changes by {change:.0%} after {steady.periods}"
+    doubtful = not steady.converged and change > APERIODIC
+    return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
