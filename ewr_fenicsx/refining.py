@@ -24,6 +24,7 @@ from ewr_fenicsx.solution_store import Record, restore, strip
 from ewr_fenicsx.task_sharing import share_tasks
 
 GROUP = 6  # points a group
+PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics
 SAME = 2.0  # accuracies that two solutions of one problem may lie apart
 
 
@@ -87,11 +88,12 @@ def refine_point(
 
 
 def begin_next(found: AccurateSolution, first: int) -> int:
-    """Highest harmonic of the next point's first solve: that of the last one here but one, which the last confirmed."""
+    """Highest harmonic of the next point's first solve: that of the last one here, fewer where one solve was plenty."""
     tops = [level.orders[-1] for level in found.levels]
     if not tops:
         return first
-    return max(FIRST_ORDER, tops[-2] if len(tops) > 1 else round(tops[-1] / GROWTH[0]))
+    plenty = len(tops) == 1 and found.estimate.total < PLENTY * found.accuracy
+    return max(FIRST_ORDER, round(tops[-1] / GROWTH[0])) if plenty else tops[-1]
 
 
 def join_points(
