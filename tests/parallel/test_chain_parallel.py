@@ -33,7 +33,7 @@ def run_chain(mpirun, tmp_path, ranks, source, parameters, degree):
     ],
 )
 def test_one_and_two_ranks_agree(mpirun, tmp_path, source, parameters, degree):
-    """Pairs, areas, modes, matrices, compliance and an expanded field to 1e-9; every rank holds the same bits."""
+    """Pairs, areas, modes, matrices and an expanded field to 1e-9, compliance to rounding; all ranks hold the same."""
     one, two = (run_chain(mpirun, tmp_path, ranks, source, parameters, degree) for ranks in (1, 2))
     if source == TWO_BLOCKS:
         assert two["bodies_on_rank"].sum(axis=1).tolist() == [1, 1], "each body should live on a rank of its own"
@@ -41,9 +41,15 @@ def test_one_and_two_ranks_agree(mpirun, tmp_path, source, parameters, degree):
     assert two["pairs_agree"] and two["models_agree"]
     for name in ("position", "area", "normal", "fixed", "stick", "tip", "energy"):
         np.testing.assert_allclose(two[name], one[name], rtol=1e-9, atol=1e-12 * np.abs(one[name]).max(), err_msg=name)
-    for name in ("compliance", "stiffness", "mass"):
+    for name in ("stiffness", "mass"):
         scale = np.abs(one[name]).max()
         np.testing.assert_allclose(two[name], one[name], rtol=0, atol=1e-9 * scale, err_msg=name)
+    # at 300 Hz a free body moves almost rigidly: what rounding leaves of its large stiffness, summed in another order,
+    # counts against a small inertia (6e-10 to 1.1e-9 seen); at 1500 and 4000 Hz ranks agree a thousand times better
+    scale = np.abs(one["compliance"]).max()
+    for k, tolerance in enumerate((1e-8, 1e-10, 1e-10)):
+        difference = np.abs(two["compliance"][k] - one["compliance"][k]).max()
+        assert difference <= tolerance * scale, (k, difference / scale)
     for figures in (one, two):
         assert figures["energy"] == pytest.approx(figures["work"], rel=1e-9)
         assert (figures["rigid"] < 1e-12).all()
