@@ -105,9 +105,15 @@ class HarmonicBalance:
 
     def unpack(self, unknowns: RealArray) -> tuple[ComplexArray, RealArray]:
         """Force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)`` [m]."""
+        return self.basis.to_amplitudes(self.place(unknowns) * self.force_unit), unknowns[
+            self.size - self.rigid :
+        ] * self.length_unit
+
+    def place(self, vector: RealArray) -> RealArray:
+        """Coefficients ``(n_c, m)`` of a vector like the unknowns, ``(size,)``; zero where there is no unknown."""
         coefficients = np.zeros(self.unknown.shape)
-        coefficients[self.unknown] = unknowns[: self.size - self.rigid] * self.force_unit
-        return self.basis.to_amplitudes(coefficients), unknowns[self.size - self.rigid :] * self.length_unit
+        coefficients[self.unknown] = vector[: self.size - self.rigid]
+        return coefficients
 
     def sample(self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis | None = None) -> list[Motion]:
         """What each law sees over one period under force and motion amplitudes ``(n_h, m)``, for all laws in turn."""
@@ -342,8 +348,7 @@ class Factorisation:
     def __init__(self, step: NewtonStep, right_side: RealArray, shift: float = 0.0):
         balance = step.balance
         self.step = step
-        load = np.zeros(balance.unknown.shape)
-        load[balance.unknown] = right_side[: balance.size - balance.rigid]
+        load = balance.place(right_side)
         self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, shift * step.shift_weight)
         matrix, b = step._assemble(self.elimination, load, shift)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
@@ -363,12 +368,10 @@ class Factorisation:
     def solve(self, right_side: RealArray) -> RealArray:
         """The solution for another right side, ``(size,)``."""
         step, balance = self.step, self.step.balance
-        load = np.zeros(balance.unknown.shape)
-        load[balance.unknown] = right_side[: balance.size - balance.rigid]
-        elimination = replace(self.elimination, offset=self.elimination.find_offset(load))
+        offset = self.elimination.find_offset(balance.place(right_side))
+        elimination = replace(self.elimination, offset=offset)
         left = right_side - step.multiply(elimination.expand(np.zeros(self.columns.size)))
-        load[balance.unknown] = left[: balance.size - balance.rigid]
-        b = np.concatenate([load[:, elimination.mixed].T.ravel(), left[balance.size - balance.rigid :]])
+        b = np.concatenate([balance.place(left)[:, elimination.mixed].T.ravel(), left[balance.size - balance.rigid :]])
         return elimination.expand(self._solve_mixed(b))
 
     def _solve_mixed(self, b: RealArray) -> RealArray:

@@ -68,7 +68,7 @@ def trace_branch(
     if before is not None:
         tangent = _point_to(before, start, span)
     while step >= smallest_step:
-        found, taken = _correct(balance_at, here, tangent, step, span, tolerance, CORRECTOR_STEPS)
+        found, taken = _correct(balance_at, here, tangent, step, span, tolerance)
         spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None
@@ -111,13 +111,13 @@ def _turn_corner(
 
 
 def _correct(
-    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, step: float, span: float, tolerance: float, limit: int
+    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, step: float, span: float, tolerance: float
 ) -> tuple[BranchPoint | None, int]:
     """The branch's point a step ahead, or None, and the Newton steps taken."""
     z, s = here.unknowns + step * tangent[:-1], here.parameter + step * tangent[-1] * span
     balance = balance_at(s)
     norm = np.linalg.norm(balance.residual(z))
-    for taken in range(limit):
+    for taken in range(CORRECTOR_STEPS):
         if norm <= tolerance:
             return BranchPoint(s, z, taken), taken
         linear = balance.linearise(z)
@@ -142,4 +142,4 @@ def _correct(
             if shrink < 1e-3:
                 return None, taken + 1
         z, s, norm, balance = z + shrink * dz, s + shrink * ds * span, new, trial
-    return None, limit
+    return None, CORRECTOR_STEPS

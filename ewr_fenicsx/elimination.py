@@ -48,9 +48,8 @@ class Equations(Protocol):
 
 # Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
 REDUNDANCY = 1e-13
-BATCH = (
-    1 << 18
-)  # matrix entries made at a time: few calls on small joints, temporaries that fit the cache on large ones
+# Matrix entries made at a time: few calls on small joints, temporaries that fit the cache on large ones.
+BATCH = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """What a scene asks to be solved: one periodic solution, a frequency sweep, or wear over many cycles.
 
-Sweeps and wear are imported where a scene asks for them, and nowhere else.
+Sweeps, wear and what serves an accuracy are imported where a scene asks for them, and nowhere else.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ewr_fenicsx.accuracy import MODES_GROWTH, MOST_MODES, AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
@@ -23,6 +22,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import find_idle_harmonics
 
 if TYPE_CHECKING:
+    from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 
@@ -89,6 +89,8 @@ class _Modes:
     @property
     def most(self) -> int:
         """How many modes may be kept; those that the scene states in any case."""
+        from ewr_fenicsx.accuracy import MOST_MODES
+
         return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
 
     def keep_more(self, count: int) -> tuple[ContactProblem, range]:
@@ -106,6 +108,8 @@ class _Modes:
 
 
 def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) -> Study:
+    from ewr_fenicsx.accuracy import solve_to_accuracy
+
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
         found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
@@ -178,6 +182,7 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
 
 def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
     """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
+    from ewr_fenicsx.accuracy import MODES_GROWTH
     from ewr_fenicsx.frequency_sweep import refine_response
 
     asked, modes = chain.scene.solver, _Modes(chain, watch)
