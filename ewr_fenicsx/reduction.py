@@ -67,10 +67,9 @@ class CraigBampton:
     def full_stick_ratio(self) -> float:
         """Ratio of critical damping of the lowest mode of the bonded joint."""
         model = self.model
-        stuck = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
-        squares, shapes = scipy.linalg.eigh(stuck.T @ model.stiffness @ stuck, stuck.T @ model.mass @ stuck)
+        squares, shapes = _solve_stuck(model.mass, model.stiffness, np.vstack([model.normal, model.tangential]))
         omega = 2 * np.pi * self.full_stick.frequency[0]
-        shape = stuck @ shapes[:, np.argmin(np.abs(squares - omega**2))]
+        shape = shapes[:, np.argmin(np.abs(squares - omega**2))]
         return float(shape @ model.damping @ shape / (2 * omega))
 
     def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
@@ -100,8 +99,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     contact = _contact_dofs(interface, fixed)
     interior = _cut_interior(structure, contact)
     boundary = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
-    rows = PETSc.IS().createGeneral(interior.dofs.astype(np.int32), comm=structure.mass.comm)
-    dense = structure.stiffness.createSubMatrix(rows, boundary).convert("dense")
+    dense = structure.stiffness.createSubMatrix(interior.rows, boundary).convert("dense")
     coupling = dense.getDenseArray()  # a view: valid while the matrix lives
     column = {int(dof): k for k, dof in enumerate(np.concatenate(comm.allgather(interior.boundary)))}
     coupling = coupling[:, [column[int(dof)] for dof in contact]]
@@ -152,6 +150,7 @@ class _Interior:
     """What is neither clamped nor in contact: this rank's rows, those of its contact dofs, and sparse matrices."""
 
     dofs: np.ndarray
+    rows: PETSc.IS  # the same, as PETSc takes them
     boundary: np.ndarray
     stiffness: PETSc.Mat
     mass: PETSc.Mat
@@ -163,7 +162,7 @@ def _cut_interior(structure: Structure, contact: np.ndarray) -> _Interior:
     dofs = np.setdiff1d(np.arange(first, last), np.concatenate([boundary, structure.fixed_dofs]))
     rows = PETSc.IS().createGeneral(dofs.astype(np.int32), comm=structure.mass.comm)
     matrices = (matrix.createSubMatrix(rows, rows) for matrix in (structure.stiffness, structure.mass))
-    return _Interior(dofs, boundary, *matrices)
+    return _Interior(dofs, rows, boundary, *matrices)
 
 
 def _compose_basis(
@@ -269,6 +268,13 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
     return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
 
 
+def _solve_stuck(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared angular frequencies ``(k,)``, rising, and mass-normalised shapes ``(n, k)`` where rows ``held`` rest."""
+    stuck = scipy.linalg.null_space(held)
+    values, vectors = scipy.linalg.eigh(stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck)
+    return values, stuck @ vectors
+
+
 def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, floating: int, ratio: float) -> np.ndarray:
     """Damping with a ratio for each mode of the open joint, and for the modes of full stick that hold floating bodies.
 
@@ -288,12 +294,7 @@ def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, float
     weighted = mass @ vectors
     damping = (weighted * (2 * ratio * np.sqrt(np.maximum(values, 0)))) @ weighted.T
     if floating:
-        stuck = scipy.linalg.null_space(held)
-        lowest = min(floating, stuck.shape[1]) - 1
-        values, vectors = scipy.linalg.eigh(
-            stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck, subset_by_index=[0, lowest]
-        )
-        shapes = stuck @ vectors
+        values, shapes = (part[..., :floating] for part in _solve_stuck(mass, stiffness, held))
         lack = np.diag(2 * ratio * np.sqrt(np.maximum(values, 0))) - shapes.T @ damping @ shapes
         damping += mass @ shapes @ lack @ shapes.T @ mass
     return 0.5 * (damping + damping.T)
