@@ -302,8 +302,9 @@ over the largest force or opening. Times are one processor's ({cores} cores, loa
 
 or `solve_to_accuracy(problem, 0.01)`. It starts with three harmonics, looks at what a Newton step with more harmonics
 and more samples would change, and others with another weight and with fewer modes, raises the knob that dominates, and
-starts the next solve at the last. Where the first step moves the outputs by about as much as is asked, a second one on
-the same problem sharpens the estimate. It comes with the result, and so does what kept it from the accuracy. It speaks
+starts the next solve at the last. Where the change from one solve to the next already tells of more than is asked, no
+such step is taken; where the first step moves the outputs by about as much as is asked, a second one on the same
+problem sharpens the estimate. It comes with the result, and so does what kept it from the accuracy. It speaks
 of the outputs at the frequency given, and of the contact solve and the modes: what the mesh does to them it does not
 know.
 
@@ -315,7 +316,9 @@ A sweep with an accuracy is followed with a few harmonics first, which says what
 together. Then each point is solved again to the accuracy, from where it is and with about the harmonics that its
 neighbour took; `frequency_response.csv` has the columns `estimate` and `highest_harmonic`, and frequencies at which the
 accuracy was not reached are told with the reason. Where a branch with more harmonics turns back earlier, points of the
-fold that it does not reach are left out. A branch that few harmonics do not show at all is not found.
+fold that it does not reach are left out, and so are points that ended on the other side of the fold: there the sign of
+the Jacobian's determinant differs, whatever the number of harmonics. A branch that few harmonics do not show at all is
+not found.
 
 Wear with an accuracy asks the same of the wear rate, by its largest error over its largest value: where most pairs
 stick, outputs thought right within 1 % may come with a worn depth that is off by 15 %: a case of

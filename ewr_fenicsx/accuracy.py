@@ -210,17 +210,18 @@ def judge(
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
-    Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
-    errors are: those wait. Where more harmonics than at the level before have not halved them, the samples are looked
-    at by themselves.
+    Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. Harmonics
+    and samples are looked at together. Where they are above the accuracy they are raised whatever the other errors are:
+    those wait. Where more harmonics than at the level before have not halved them, the samples are looked at by
+    themselves.
     """
-    error, samples = estimate_together(solution, accuracy, figure), np.nan
-    if before is not None:
-        growth = solution.orders[-1] / max(1, before.orders[-1])
-        if growth > 1:
-            error = max(error, measure_distance(before, solution, figure) / (growth**RATE - 1))
-        if max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
-            samples = min(estimate_samples(solution, figure), error)
+    error, samples = 0.0, np.nan
+    if before is not None and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
+        error = measure_distance(before, solution, figure) / (growth**RATE - 1)
+    if error <= accuracy:
+        error = max(error, estimate_together(solution, accuracy, figure))
+    if before is not None and max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
+        samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
     error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan

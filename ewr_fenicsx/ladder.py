@@ -61,7 +61,7 @@ def climb(
         level = balance if last else HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
         goal, limit = (tolerance, None) if last else (COARSE_TOLERANCE, COARSE_STEPS)
-        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit)
+        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit, near=below is not None)
         for rung in rungs:
             if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:
                 attempt = rung(level, goal, attempt)

@@ -33,6 +33,7 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
 TIGHTEST, LOOSEST = 1e-13, 1e-3
+SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -275,13 +276,36 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
 def go_on_from(
     start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Newton from the solution of another problem on the same model: a guiding step from its state, then as usual."""
+    """Newton from the solution of another problem on the same model."""
+    attempts, steps = [], 0
+    for unknowns, near, taken in list_starts(start, balance, tolerance):
+        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, near=near))
+        steps += attempts[-1].iterations + taken
+        if attempts[-1].converged:
+            break
+    return replace(min(attempts, key=lambda a: a.residual), iterations=steps)
+
+
+def list_starts(
+    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float
+) -> Iterator[tuple[RealArray, bool, int]]:
+    """Unknowns to start at from another problem's solution, whether as near ones, and the Newton steps that they took.
+
+    Its forces serve as they are where they cause the same motion here (other harmonics, samples or laws). At another
+    frequency, with another model or load, a guiding step makes the two fit.
+    """
     forces, motion, rigid = carry_over(start, balance)
-    unknowns, guided = balance.pack(forces, rigid), 0
-    if np.linalg.norm(balance.residual(unknowns)) > tolerance:
-        unknowns, guided = guide(balance, forces, motion, rigid), 1
-    attempt = run_newton(balance, unknowns, tolerance, linear_solver)
-    return replace(attempt, iterations=attempt.iterations + guided)
+    carried = balance.pack(forces, rigid)
+    moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
+    same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
+    if same or np.linalg.norm(balance.residual(carried)) <= tolerance:
+        yield carried, True, 0
+        yield carried, False, 0
+        yield guide(balance, forces, motion, rigid), False, 1
+    else:
+        guided = guide(balance, forces, motion, rigid)
+        yield guided, True, 1
+        yield guided, False, 0
 
 
 def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:

@@ -3,7 +3,7 @@
 A curve of few harmonics says which solutions there are and how they hang together. Each of its points is where the
 solve to an accuracy starts, with about as many harmonics as the point before it took. Groups of points know nothing of
 each other: ranks share them, and the result does not depend on how many there are. Solutions that fell off their branch
-are told from the others by their neighbours.
+are told from the others by their neighbours, and next to a fold by the side of it that they are on.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.accuracy import FIRST_ORDER, GROWTH, AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
@@ -26,6 +28,7 @@ from ewr_fenicsx.task_sharing import share_tasks
 GROUP = 6  # points a group
 PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics
 SAME = 2.0  # accuracies that two solutions of one problem may lie apart
+MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: seconds
 
 
 def refine_points(
@@ -119,18 +122,38 @@ def join_points(
     kept: list[tuple[PeriodicSolution, AccurateSolution]] = []
     jumps = []
     for point, here in zip(points, found, strict=True):
-        fell = measure_gap(point, here.solution) > LARGEST_SURPRISE
-        if kept:
+        moved, wanted = measure_gap(point, here.solution), point.problem.frequency in frequencies
+        fell = moved > LARGEST_SURPRISE
+        crossed = moved > SAME * here.accuracy and find_side(point) * find_side(here.solution) < 0
+        if crossed and not wanted:
+            continue
+        if kept and crossed and not fell:
+            ends = kept[-1][1].solution.problem.frequency, point.problem.frequency
+            jumps.append(Jump(ends, "with more harmonics the branch turns back earlier; this is beyond its fold"))
+        elif kept:
             before, last = kept[-1]
             surprise = measure_gap(last.solution, here.solution) - measure_gap(before, point)
             suspect = fell or measure_gap(before, last.solution) > LARGEST_SURPRISE
             if suspect and surprise > LARGEST_SURPRISE and not lie_on_one_branch(last, here, tolerance):
-                if fell and point.problem.frequency not in frequencies:
+                if fell and not wanted:
                     continue
                 ends = last.solution.problem.frequency, point.problem.frequency
                 jumps.append(Jump(ends, "with more harmonics no common branch was found"))
         kept.append((point, here))
     return [here for _, here in kept], jumps
+
+
+def find_side(solution: PeriodicSolution) -> int:
+    """Side of the folds that a solution is on: the sign of the Jacobian's determinant, 0 where it is not looked at.
+
+    Along a branch it changes where that turns back and nowhere else. Harmonics that are added at rest multiply the
+    determinant by squares, so that solutions with more and fewer of them can be compared.
+    """
+    system = solution.problem.system
+    if not system.rows.shape[0] or (balance := HarmonicBalance(system)).size > MOST_UNKNOWNS:
+        return 0
+    step = balance.linearise(balance.pack(solution.forces, solution.rigid))
+    return int(np.linalg.slogdet(step.matrix())[0])
 
 
 def measure_gap(a: PeriodicSolution, b: PeriodicSolution) -> float:

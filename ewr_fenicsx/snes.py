@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 from petsc4py import PETSc
 
-from ewr_fenicsx.balance import Factorisation, HarmonicBalance, NewtonStep
+from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.reduced_model import RealArray
 
 LinearSolver = Literal["elimination", "dense"]
 
-# Added to the contact rows' diagonal, times the residual over the first one, while that is above a limit: far from the
-# solution the steps are then shorter where pairs are about to change status.
+# Added to the contact rows' diagonal from a start far from any solution, times the residual over the first one, while
+# that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 60  # -ewr_snes_max_it
 SMALLEST_DAMPING = 1e-6  # of a Newton step
@@ -38,23 +38,32 @@ class Attempt:
     converged: bool
 
 
-def choose_shift(step: NewtonStep, first: float) -> float:
-    """Diagonal shift of a Newton step: in proportion to the residual far from the solution, none close to it."""
-    norm = float(np.linalg.norm(step.residual))
-    return SHIFT * norm / first if norm > SHIFT_ABOVE * max(first, SHIFT) else 0.0
-
-
 def run_newton(
-    balance: HarmonicBalance, start: RealArray, tolerance: float, linear_solver: LinearSolver, limit: int | None = None
+    balance: HarmonicBalance,
+    start: RealArray,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int | None = None,
+    *,
+    near: bool = False,
 ) -> Attempt:
-    """One Newton run through PETSc SNES, options under the prefix ``ewr_``."""
+    """One Newton run through PETSc SNES, options under the prefix ``ewr_``.
+
+    Args:
+        balance: The balance.
+        start: Scaled unknowns.
+        tolerance: Residual norm accepted.
+        linear_solver: As in ``solve``.
+        limit: Newton steps allowed, in place of ``MAX_STEPS``.
+        near: Whether the start is a neighbour's solution: no step is shortened by a shift.
+    """
     if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
         linear_solver = "dense"
     comm = PETSc.COMM_SELF
     snes = PETSc.SNES().create(comm)
     snes.setOptionsPrefix("ewr_")
     x, r = PETSc.Vec().createSeq(balance.size, comm=comm), PETSc.Vec().createSeq(balance.size, comm=comm)
-    equations = _Equations(balance, first=float(np.linalg.norm(balance.residual(start))))
+    equations = _Equations(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
     ksp = snes.getKSP()
     ksp.setType(PETSc.KSP.Type.PREONLY)
     pc = ksp.getPC()
@@ -128,7 +137,7 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
-            exact = FAR_TOLERANCE if self.equations.shift else CLOSE_TOLERANCE
+            exact = FAR_TOLERANCE if self.equations.far else CLOSE_TOLERANCE
             if not (direct and factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
                 ksp.solve(f, step)
                 factored = self.equations.mixed
@@ -165,9 +174,9 @@ def solve_with_old_factors(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, 
 class _Equations:
     """The balance as PETSc sees it: residual, Jacobian as a matrix or as an operator, and that one's exact inverse."""
 
-    def __init__(self, balance: HarmonicBalance, first: float):
-        self.balance, self.first = balance, first
-        self.step, self.shift = None, 0.0
+    def __init__(self, balance: HarmonicBalance, first: float, most_shift: float):
+        self.balance, self.first, self.most_shift = balance, first, most_shift
+        self.step, self.shift, self.far = None, 0.0, True
         self.factors: Factorisation | None = None
 
     @property
@@ -180,7 +189,9 @@ class _Equations:
 
     def linearise(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
         self.step = self.balance.linearise(x.array_r)
-        self.shift = choose_shift(self.step, self.first)
+        norm = float(np.linalg.norm(self.step.residual))
+        self.far = norm > SHIFT_ABOVE * max(self.first, SHIFT)
+        self.shift = self.most_shift * norm / self.first if self.far else 0.0
         if P.getType() != PETSc.Mat.Type.PYTHON:
             P.getDenseArray()[:] = self.step.matrix(self.shift)
         P.assemble()  # says that it has changed

@@ -12,7 +12,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, newton, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
-from ewr_fenicsx.newton import carry_over, run_newton
+from ewr_fenicsx.newton import run_newton
 from ewr_fenicsx.scene import Solver
 
 PROBLEMS = {
@@ -214,40 +214,6 @@ def test_a_stuck_joint_takes_one_step_at_most():
     assert solve(PROBLEMS["stuck"]).iterations <= 1
 
 
-def test_a_solution_is_a_start_for_itself():
-    for problem in PROBLEMS.values():
-        solution = solve(problem, tolerance=1e-10)
-        again = solve(problem, start=solution, tolerance=1e-9)
-        assert again.iterations == 0 and again.fallbacks == ()
-        np.testing.assert_allclose(again.forces, solution.forces, atol=1e-12 * np.abs(solution.forces).max())
-
-
-def test_a_start_from_a_neighbour_saves_steps_and_finds_the_same():
-    problem = PROBLEMS["floating, slip"]
-    near = solve(replace(problem, frequency=problem.frequency * 1.005))
-    cold, warm = solve(problem, tolerance=1e-10), solve(problem, start=near, tolerance=1e-10)
-    assert warm.iterations < cold.iterations
-    np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-6 * np.abs(cold.forces).max())
-
-
-@pytest.mark.parametrize("harmonics", [3, 9, (0, 1, 4)])
-def test_a_start_is_prolonged_or_cut(harmonics):
-    solution = solve(PROBLEMS["lift-off"])
-    problem = replace(solution.problem, harmonics=harmonics)
-    balance = HarmonicBalance(problem.system)
-    forces, _, _ = carry_over(solution, balance)
-    for j, h in enumerate(problem.basis.orders):
-        np.testing.assert_allclose(forces[j], solution.forces[h] if h < 10 else 0.0, atol=1e-14)
-    assert solve(problem, start=solution).converged
-
-
-def test_a_start_may_have_other_laws():
-    """From friction to none and back: forces that the new laws know are kept."""
-    with_friction = solve(PROBLEMS["floating, slip"])
-    without = replace(with_friction.problem, laws=ContactLaws("bonded", "coulomb", friction=0.4))
-    assert solve(without, start=with_friction).converged
-
-
 @pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
 @pytest.mark.parametrize("excitation", [1.6, 4.0])
 @pytest.mark.parametrize("frequency", [0.1, 0.16, 0.2, 0.25])
@@ -381,15 +347,6 @@ def test_a_static_problem_has_one_harmonic():
     np.testing.assert_allclose(
         model.stiffness @ solution.coordinates[0].real, load + model.normal.T @ force, atol=1e-10
     )
-
-
-def test_a_start_on_another_joint_is_refused():
-    one = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.1, 1)
-    six = ContactProblem(dovetail(), ContactLaws(friction=0.3), 200.0, 1)
-    with pytest.raises(ModelError, match="start has 6 pairs, the problem 1; give a solution on the same joint"):
-        solve(one, start=solve(six))
-    with pytest.raises(ModelError, match="start has 1 pairs, the problem 6"):
-        solve(six, start=solve(one))
 
 
 def test_without_a_mass_the_rubbing_spring_is_quasi_static():

@@ -1,0 +1,111 @@
+"""Warm starts: a neighbour's solution, with other harmonics, laws or frequency, and what is done with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail, lift_off_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
+from ewr_fenicsx.balance import Factorisation, HarmonicBalance
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.newton import carry_over, list_starts
+
+SLIPS = ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5)
+LIFTS_OFF = ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9)
+STUCK = ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(friction=0.6), 0.1, 3)
+
+
+def test_a_solution_is_a_start_for_itself():
+    for problem in (SLIPS, LIFTS_OFF, STUCK):
+        solution = solve(problem, tolerance=1e-10)
+        again = solve(problem, start=solution, tolerance=1e-9)
+        assert again.iterations == 0 and again.fallbacks == ()
+        np.testing.assert_allclose(again.forces, solution.forces, atol=1e-12 * np.abs(solution.forces).max())
+
+
+def test_a_start_from_a_neighbour_saves_steps_and_finds_the_same():
+    problem = SLIPS
+    near = solve(replace(problem, frequency=problem.frequency * 1.005))
+    cold, warm = solve(problem, tolerance=1e-10), solve(problem, start=near, tolerance=1e-10)
+    assert warm.iterations < cold.iterations
+    np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-6 * np.abs(cold.forces).max())
+
+
+@pytest.mark.parametrize("harmonics", [3, 9, (0, 1, 4)])
+def test_a_start_is_prolonged_or_cut(harmonics):
+    solution = solve(LIFTS_OFF)
+    problem = replace(solution.problem, harmonics=harmonics)
+    balance = HarmonicBalance(problem.system)
+    forces, _, _ = carry_over(solution, balance)
+    for j, h in enumerate(problem.basis.orders):
+        np.testing.assert_allclose(forces[j], solution.forces[h] if h < 10 else 0.0, atol=1e-14)
+    assert solve(problem, start=solution).converged
+
+
+def test_a_start_may_have_other_laws():
+    """From friction to none and back: forces that the new laws know are kept."""
+    with_friction = solve(SLIPS)
+    without = replace(with_friction.problem, laws=ContactLaws("bonded", "coulomb", friction=0.4))
+    assert solve(without, start=with_friction).converged
+
+
+def test_a_start_on_another_joint_is_refused():
+    one = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.1, 1)
+    six = ContactProblem(dovetail(), ContactLaws(friction=0.3), 200.0, 1)
+    with pytest.raises(ModelError, match="start has 6 pairs, the problem 1; give a solution on the same joint"):
+        solve(one, start=solve(six))
+    with pytest.raises(ModelError, match="start has 1 pairs, the problem 6"):
+        solve(six, start=solve(one))
+
+
+def test_forces_are_the_start_where_they_mean_the_same_motion():
+    """Other harmonics, samples or laws: as they are. Another frequency or load: a guiding step first."""
+    start = solve(SLIPS)
+    same = [replace(SLIPS, harmonics=9), replace(SLIPS, samples=512), replace(SLIPS, laws=ContactLaws(friction=0.25))]
+    louder = {h: 1.1 * f for h, f in SLIPS.model.load.items()}
+    for problem, guided in [
+        *((p, False) for p in same),
+        (replace(SLIPS, frequency=490.0), True),
+        (replace(SLIPS, load=louder), True),
+    ]:
+        balance = HarmonicBalance(problem.system)
+        forces, _, rigid = carry_over(start, balance)
+        (first, near, steps), *others = list_starts(start, balance, 1e-8)
+        assert near and steps == guided
+        assert np.array_equal(first, balance.pack(forces, rigid)) != guided
+        assert others and not any(near for _, near, _ in others), "then with shortened steps"
+
+
+def test_no_step_from_a_near_start_is_shortened(monkeypatch):
+    """A cold start's first steps are shifted; one with other harmonics is solved as it is."""
+    shifts = []
+
+    class Spy(Factorisation):
+        def __init__(self, step, right_side, shift=0.0):
+            shifts.append(shift)
+            super().__init__(step, right_side, shift)
+
+    monkeypatch.setattr(snes, "Factorisation", Spy)
+    start = solve(SLIPS)
+    assert shifts[0] > 0
+    shifts.clear()
+    warm = solve(replace(SLIPS, harmonics=9), start)
+    assert warm.iterations > 1 and warm.fallbacks == () and set(shifts) == {0.0}
+
+
+def test_a_near_start_that_fails_is_tried_with_shortened_steps(monkeypatch):
+    tried, original = [], snes.run_newton
+
+    def fail_first(balance, unknowns, *arguments, near=False):
+        tried.append(near)
+        limit = (0,) if near else ()
+        return original(balance, unknowns, *arguments, *limit, near=near)
+
+    monkeypatch.setattr("ewr_fenicsx.newton.run_newton", fail_first)
+    start = solve(SLIPS)
+    tried.clear()
+    found = solve(replace(SLIPS, harmonics=9), start)
+    assert tried == [True, False] and found.converged and found.fallbacks == ()
