@@ -169,7 +169,7 @@ def solve_to_accuracy(
             break
         if estimate.dominating == "modes":
             if more_modes and len(modes) < most_modes:
-                problem, modes = more_modes(min(MODES_GROWTH * len(modes), most_modes))
+                problem, modes = more_modes(raise_modes(len(modes), most_modes))
             else:
                 limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
         elif estimate.dominating == "samples":
@@ -226,6 +226,11 @@ def judge(
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
     error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan
     return ErrorEstimate(error, np.nan, estimate_weight(solution, figure), error_of_modes)
+
+
+def raise_modes(count: int, most: int) -> int:
+    """Number of modes to keep where ``count`` leave out too much."""
+    return min(MODES_GROWTH * count, most)
 
 
 def next_order(levels: Sequence[Level], accuracy: float) -> int:

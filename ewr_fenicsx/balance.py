@@ -219,13 +219,20 @@ class NewtonStep:
 
     @cached_property
     def shift_weight(self) -> RealArray:
-        """``(m,)`` share of a diagonal shift that each row takes: less where the law barely answers to its motion."""
-        system, answer = self.balance.system, np.zeros(self.balance.rows)
+        """``(n_h, m)`` share of a diagonal shift that each row takes: less where the law barely answers to its motion.
+
+        Mean friction takes none: its own entry is small, and a shift would swamp it.
+        """
+        balance, answer = self.balance, np.zeros(self.balance.rows)
         for d in self.derivatives:
             if not d.by_force:
-                rate = system.compliance.omega if d.by_rate else 1.0
-                np.maximum.at(answer, d.rows, rate * np.abs(d.values).max(axis=0) * system.flexibility[d.columns])
-        return np.where(answer > 0, np.minimum(1.0, answer), 1.0)
+                rate = balance.compliance.omega if d.by_rate else 1.0
+                largest = rate * np.abs(d.values).max(axis=0) * balance.system.flexibility[d.columns]
+                np.maximum.at(answer, d.rows, largest)
+        weight = np.tile(np.where(answer > 0, np.minimum(1.0, answer), 1.0), (len(balance.basis.orders), 1))
+        if balance.basis.has_mean:
+            weight[0] *= balance.static_force_row == 0
+        return weight
 
     def multiply(self, direction: RealArray, shift: float = 0.0) -> RealArray:
         """``(J + shift) v`` without forming J, ``(size,)``."""
@@ -234,11 +241,9 @@ class NewtonStep:
         motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
         product = self.change(forces, motion, rigid)
         if shift:
-            weight = np.tile(shift * self.shift_weight, (balance.basis.coefficients, 1))
-            if balance.basis.has_mean:
-                weight[0] *= balance.static_force_row == 0  # small: a shift would swamp it
             moved = balance.size - balance.rigid
-            product[:moved] += weight[balance.unknown] * direction[:moved]
+            weight = self.shift_weight[balance.basis.slot][balance.unknown]
+            product[:moved] += shift * weight * direction[:moved]
         return product
 
     def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
@@ -290,13 +295,11 @@ class NewtonStep:
         b = np.zeros(size + balance.rigid)
         block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
-        weighted = shift * self.shift_weight[mixed]
-        block[pair, order, order, pair] = weighted[:, None]
+        block[pair, order, order, pair] = shift * self.shift_weight[basis.slot][:, mixed].T
         known = load[:, mixed].T.copy()
         toward_rigid = np.zeros((mixed.size, n_c, balance.rigid))
         if basis.has_mean:
-            mean = balance.static_force_row[mixed]  # small: a shift would swamp it
-            block[pair[:, 0], 0, 0, pair[:, 0]] = np.where(mean > 0, mean, weighted)
+            block[pair[:, 0], 0, 0, pair[:, 0]] += balance.static_force_row[mixed]
         for d in self.derivatives:
             pick = np.flatnonzero(place[d.rows] >= 0)
             if pick.size == 0:

@@ -109,7 +109,7 @@ class Elimination:
 
     balance: Equations
     derivatives: Sequence[Derivative]
-    shift: RealArray | None  # (m,)
+    shift: RealArray | None  # (n_h, m)
     steady: np.ndarray  # (c,)
     mixed: np.ndarray  # (M,)
     reaction: ComplexArray  # (n_h, c, M)
@@ -125,7 +125,7 @@ class Elimination:
         load: RealArray,
         shift: RealArray | None = None,
     ) -> Elimination:
-        """Eliminate the rows marked in ``steady`` of J plus a diagonal ``shift`` ``(m,)``; right side ``(n_c, m)``."""
+        """Eliminate the rows ``steady`` of J plus a diagonal ``shift``, ``(n_h, m)``, for a right side ``(n_c, m)``."""
         basis = balance.basis
         c, mixed = np.flatnonzero(steady), np.flatnonzero(~steady)
         n_h = len(basis.orders)
@@ -193,9 +193,7 @@ class Elimination:
         toward_rigid[mean] *= weight[:, None]
         A[mean[:, None], diagonal, c] += balance.static_force_row[c]
         if shift is not None:
-            added = np.tile(shift[c], (rate.size, 1))
-            added[mean] *= balance.static_force_row[c] == 0  # small: a shift would swamp it
-            A[:, diagonal, c] += added
+            A[:, diagonal, c] += shift[batch][:, c]
         return A, toward_rigid
 
     def follow(self, by_force: bool, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:

@@ -182,7 +182,7 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
 
 def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
     """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
-    from ewr_fenicsx.accuracy import MODES_GROWTH
+    from ewr_fenicsx.accuracy import raise_modes
     from ewr_fenicsx.frequency_sweep import refine_response
 
     asked, modes = chain.scene.solver, _Modes(chain, watch)
@@ -200,7 +200,7 @@ def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[C
             progress=shown,
         )
         wanting = any(not found.reached and found.estimate.dominating == "modes" for found in curve.accurate)
-        count = min(MODES_GROWTH * len(modes.coordinates), modes.most)
+        count = raise_modes(len(modes.coordinates), modes.most)
         if not wanting or count == len(modes.coordinates):
             return modes.chain, curve
         problem, _ = modes.keep_more(count)
