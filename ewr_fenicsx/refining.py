@@ -146,8 +146,8 @@ def join_points(
 def find_side(solution: PeriodicSolution) -> int:
     """Side of the folds that a solution is on: the sign of the Jacobian's determinant, 0 where it is not looked at.
 
-    Along a branch it changes where that turns back and nowhere else. Harmonics that are added at rest multiply the
-    determinant by squares, so that solutions with more and fewer of them can be compared.
+    Along a branch it changes at every simple fold, else only where branches cross. High harmonics enter it as a complex
+    number a row, that is by a square, so that solutions with more and fewer of them can be compared.
     """
     system = solution.problem.system
     if not system.rows.shape[0] or (balance := HarmonicBalance(system)).size > MOST_UNKNOWNS:
