@@ -33,7 +33,7 @@ SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
 MODES_GROWTH = 2  # of their number, where the modes left out matter most
 MOST_MODES = 240
-IDLE = 0.02  # share of the accuracy asked for that the harmonics left out may have in the contact forces
+IDLE = 0.02  # share of the accuracy asked for that does not matter, in forces of harmonics and in errors by samples
 
 MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
 
@@ -213,14 +213,15 @@ def judge(
     Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. Harmonics
     and samples are looked at together. Where they are above the accuracy they are raised whatever the other errors are:
     those wait. Where more harmonics than at the level before have not halved them, the samples are looked at by
-    themselves.
+    themselves, unless they did not matter at a level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
     if before is not None and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
         error = measure_distance(before, solution, figure) / (growth**RATE - 1)
     if error <= accuracy:
         error = max(error, estimate_together(solution, accuracy, figure))
-    if before is not None and max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
+    known = [level.estimate.samples for level in levels if level.estimate.samples < IDLE * accuracy]
+    if before is not None and not known and max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
         samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
