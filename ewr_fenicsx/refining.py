@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.accuracy import FIRST_ORDER, GROWTH, AccurateSolution, solve_to_accuracy
-from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
@@ -28,7 +26,6 @@ from ewr_fenicsx.task_sharing import share_tasks
 GROUP = 6  # points a group
 PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics
 SAME = 2.0  # accuracies that two solutions of one problem may lie apart
-MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: seconds
 
 
 def refine_points(
@@ -124,7 +121,7 @@ def join_points(
     for point, here in zip(points, found, strict=True):
         moved, wanted = measure_gap(point, here.solution), point.problem.frequency in frequencies
         fell = moved > LARGEST_SURPRISE
-        crossed = moved > SAME * here.accuracy and find_side(point) * find_side(here.solution) < 0
+        crossed = moved > SAME * here.accuracy and point.side * here.solution.side < 0
         if crossed and not wanted:
             continue
         if kept and crossed and not fell:
@@ -141,19 +138,6 @@ def join_points(
                 jumps.append(Jump(ends, "with more harmonics no common branch was found"))
         kept.append((point, here))
     return [here for _, here in kept], jumps
-
-
-def find_side(solution: PeriodicSolution) -> int:
-    """Side of the folds that a solution is on: the sign of the Jacobian's determinant, 0 where it is not looked at.
-
-    Along a branch it changes at every simple fold, else only where branches cross. High harmonics enter it as a complex
-    number a row, that is by a square, so that solutions with more and fewer of them can be compared.
-    """
-    system = solution.problem.system
-    if not system.rows.shape[0] or (balance := HarmonicBalance(system)).size > MOST_UNKNOWNS:
-        return 0
-    step = balance.linearise(balance.pack(solution.forces, solution.rigid))
-    return int(np.linalg.slogdet(step.matrix())[0])
 
 
 def measure_gap(a: PeriodicSolution, b: PeriodicSolution) -> float:

@@ -15,6 +15,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.stability import find_side
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -257,14 +258,22 @@ class PeriodicSolution:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
         if self.fallbacks:
-            lines.append(
-                "found by a fallback: there may be other solutions, and the stability of this one is not known"
-            )
+            stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
+            lines.append(f"found by a fallback: there may be other solutions, and {stable}")
         return tuple(lines)
 
     def list_reservations(self) -> list[str]:
         """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""
         return [*(f"fallback: {rung}" for rung in self.fallbacks), *self.cautions]
+
+    @cached_property
+    def side(self) -> int:
+        """-1 where it is unstable for sure, as between two folds, else 1; 0: not looked at. See ``stability.py``."""
+        system = self.problem.system
+        if not (self.converged and system.rows.shape[0]):
+            return 0
+        balance = HarmonicBalance(system)
+        return find_side(balance, balance.pack(self.forces, self.rigid))
 
     @cached_property
     def touches(self) -> bool:

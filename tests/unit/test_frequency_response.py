@@ -272,21 +272,3 @@ def test_accurate_curves_are_kept_in_files(tmp_path):
 
 def pack(solution):
     return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)
-
-
-def test_the_side_of_a_fold_is_told_whatever_the_harmonics():
-    """The determinant's sign changes at the folds only: minus between them, plus before and after."""
-    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
-    curve = frequency_response(model, laws, np.linspace(0.15, 0.18, 7), 7, progress=False)
-    frequency, height = curve.frequencies, np.abs(curve.output("tip")[:, curve.orders.index(1)])
-    between = (frequency > 0.1650) & (frequency < 0.1703) & (height > 1.05) & (height < 1.75)
-    unstable = between & (height < np.interp(frequency, [0.165, 0.17], [1.56, 1.857]) - 0.1)
-    outer = (frequency <= 0.165) & (height > 1.1) | (height < 0.98)
-    assert unstable.sum() >= 5 and outer.sum() >= 10
-    for there, expected in ((unstable, -1), (outer, 1)):
-        for i in np.flatnonzero(there):
-            point = curve.solutions[i]
-            more = solve(replace(point.problem, harmonics=14), point)
-            assert refining.find_side(point) == refining.find_side(more) == expected, frequency[i]
-    bonded = solve(ContactProblem(model, ContactLaws("bonded", "frictionless"), 0.15, 3))
-    assert refining.find_side(bonded) == 0

@@ -18,7 +18,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem", "elimination",
-    "balance", "indicators", "solution", "time_stepping", "periodicity", "time_integration", "symmetry",
+    "balance", "stability", "indicators", "solution", "time_stepping", "periodicity", "time_integration", "symmetry",
     "continuation", "snes", "ladder", "newton", "estimates", "accuracy", "cost", "progress", "task_sharing",
     "solution_store", "following", "refining", "frequency_sweep", "archard", "wear_store", "wear_accuracy",
     "wear", "scene_errors",

@@ -1,0 +1,86 @@
+"""The sign of the Jacobian's determinant against time stepping: motions leave the solutions that it calls unstable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, stop_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
+
+LAWS = ContactLaws(tangential="frictionless", initial_gap=1.0)
+
+
+@pytest.fixture(scope="module")
+def branches():
+    """Solutions at three solutions' frequencies: up to the upper fold, between the folds, from the lower one."""
+    curve = frequency_response(stop_oscillator(), LAWS, np.linspace(0.15, 0.18, 13), 9, progress=False)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    assert len(turns) == 2
+    pieces = np.split(np.arange(len(curve.solutions)), turns)
+    kept = {"upper": pieces[0], "middle": pieces[1][3:-3], "lower": pieces[2][3:]}  # but for the folds' noses
+    return {name: [curve.solutions[i] for i in numbers] for name, numbers in kept.items()}
+
+
+def test_between_the_folds_solutions_are_unstable(branches):
+    assert all(len(solutions) >= 5 for solutions in branches.values())
+    for name, side in (("upper", 1), ("middle", -1), ("lower", 1)):
+        assert {solution.side for solution in branches[name]} == {side}, name
+
+
+def test_harmonics_do_not_change_the_side(branches):
+    for name, side in (("upper", 1), ("middle", -1), ("lower", 1)):
+        middle = branches[name][len(branches[name]) // 2]
+        for harmonics in (5, 14, 21):
+            found = solve(replace(middle.problem, harmonics=harmonics), middle)
+            assert found.side == side
+
+
+def test_a_motion_in_time_leaves_the_unstable_solutions_and_no_other(branches):
+    """Begun on the solution, but for its truncation: after three hundred periods the middle branch is left."""
+    for name, stays in (("upper", True), ("middle", False), ("lower", True)):
+        begun = branches[name][len(branches[name]) // 2]
+        fine = solve(replace(begun.problem, harmonics=31), begun)
+        # theta above 1/2: the stop's end has no mass, and would ring from step to step
+        steady = integrate(fine.problem, fine, steps=1024, periods=300, tolerance=1e-7, theta=0.52)
+        here, there = abs(fine.output("tip")[1]), abs(steady.output("tip")[1])
+        assert steady.converged
+        assert (abs(there / here - 1) < 2e-3) == stays, name
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
+        ContactProblem(dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 200.0, 3),
+        ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9),
+        ContactProblem(
+            friction_oscillator(damping=0.05), ContactLaws("prescribed", normal_force=0.4, friction=1.0), 0.1, 7
+        ),
+    ],
+    ids=["floating", "floating, mean friction zero", "lift-off", "prescribed"],
+)
+def test_what_time_stepping_settles_on_is_on_the_stable_side(problem):
+    found = solve(problem)
+    steady = integrate(problem, found, steps=512, periods=200, tolerance=1e-5, acceleration=True)
+    assert steady.converged
+    name = next(iter(problem.model.outputs))
+    assert abs(steady.output(name)[1] - found.output(name)[1]) < 0.1 * abs(found.output(name)[1])
+    assert found.side == 1
+
+
+def test_the_summary_says_so_of_what_a_fallback_found(branches):
+    for name, told in (("middle", "this one is unstable"), ("upper", "the stability of this one is not known")):
+        found = replace(branches[name][5], fallbacks=("given start: lost", "time stepping: found"))
+        assert f"found by a fallback: there may be other solutions, and {told}" in found.summary()
+
+
+def test_where_it_is_not_looked_at(branches, monkeypatch):
+    bonded = ContactLaws("bonded", "frictionless")
+    assert solve(replace(branches["upper"][0].problem, laws=bonded, harmonics=3)).side == 0
+    found = replace(branches["upper"][0])
+    assert replace(found, converged=False).side == 0
+    monkeypatch.setattr(stability, "MOST_UNKNOWNS", 3)
+    assert found.side == 0
