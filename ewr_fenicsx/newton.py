@@ -304,8 +304,8 @@ def list_starts(
         yield guide(balance, forces, motion, rigid), False, 1
     else:
         guided = guide(balance, forces, motion, rigid)
-        yield guided, True, 1
-        yield guided, False, 0
+        yield guided, False, 1
+        yield guided, True, 0
 
 
 def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
