@@ -10,11 +10,13 @@ Source: Seydel (2010), Practical Bifurcation and Stability Analysis, doi:10.1007
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.reduced_model import RealArray
 
 MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: seconds
+SINGULAR = 1e-12  # smallest pivot over the largest, below which rounding decides the sign: redundant pairs
 
 
 def find_side(balance: HarmonicBalance, unknowns: RealArray) -> int:
@@ -26,8 +28,14 @@ def find_side(balance: HarmonicBalance, unknowns: RealArray) -> int:
 
     Returns:
         -1: an odd number of real Floquet multipliers are above one, and the solution is unstable. 1: an even number of
-        them is, mostly none; it may be unstable in other ways. 0: there are too many unknowns to look.
+        them is, mostly none; it may be unstable in other ways. 0: there are too many unknowns to look, or the Jacobian
+        is singular.
     """
     if balance.size > MOST_UNKNOWNS:
         return 0
-    return int(np.linalg.slogdet(balance.linearise(unknowns).matrix())[0]) * (-1) ** balance.rigid
+    lu, rows, _ = scipy.linalg.lapack.dgetrf(balance.linearise(unknowns).matrix())
+    pivots = np.diagonal(lu)
+    if np.abs(pivots).min() <= SINGULAR * np.abs(pivots).max():
+        return 0
+    turned = np.count_nonzero(pivots < 0) + np.count_nonzero(rows != np.arange(rows.size)) + balance.rigid
+    return (-1) ** int(turned)

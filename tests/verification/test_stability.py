@@ -80,6 +80,15 @@ def test_the_summary_says_so_of_what_a_fallback_found(branches):
 def test_where_it_is_not_looked_at(branches, monkeypatch):
     bonded = ContactLaws("bonded", "frictionless")
     assert solve(replace(branches["upper"][0].problem, laws=bonded, harmonics=3)).side == 0
+    model = dovetail()
+    twice = replace(
+        model,
+        normal=np.vstack([model.normal, model.normal[:1]]),
+        tangential=np.vstack([model.tangential, model.tangential[:1]]),
+        pair_area=None,
+    )
+    redundant = solve(ContactProblem(twice, ContactLaws(friction=0.2), 481.0, 3))
+    assert redundant.converged and redundant.side == 0, "rounding decides the sign"
     found = replace(branches["upper"][0])
     assert replace(found, converged=False).side == 0
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 3)
