@@ -17,6 +17,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
+UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
 
 
@@ -220,7 +221,7 @@ def integrate(
     periods: int = 200,
     tolerance: float = 1e-5,
     *,
-    theta: float = 0.5,
+    theta: float = UNDAMPED,
     contact_tolerance: float = 1e-8,
     sweeps: int = 1000,
     acceleration: bool = False,
@@ -279,6 +280,8 @@ def integrate(
             break
         follows = not acceleration or anderson.defect <= tolerance
         here = end if follows else ahead
+    if reason.startswith("not steady") and tolerance and theta == UNDAMPED:
+        reason += "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
     return SteadyState(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.time_integration import State, integrate
@@ -217,6 +218,20 @@ def test_motion_of_twice_the_period_is_not_called_steady():
     assert "not steady" in result.reason
     x = result.transient("x")[1:].reshape(-1, 400)[-4:]
     assert np.abs(x[-1] - x[-3]).max() < 1e-2 * np.abs(x[-1] - x[-2]).max()
+
+
+def test_ringing_of_a_massless_stop_is_told_with_the_remedy():
+    """The stop's end has no mass: with theta = 1/2 nothing damps what contact excites from step to step."""
+    laws = ContactLaws(tangential="frictionless", initial_gap=1.0)
+    problem = ContactProblem(stop_oscillator(), laws, 0.16, 21)
+    found = solve(problem)
+    ringing = integrate(problem, found, steps=1024, periods=120)
+    assert not ringing.converged and "not steady after 120 periods" in ringing.reason
+    assert "theta = 0.52 damps that" in ringing.reason
+    damped = integrate(problem, found, steps=1024, periods=120, theta=0.52)
+    assert damped.converged
+    assert abs(damped.output("tip")[1]) == pytest.approx(abs(found.output("tip")[1]), rel=5e-3)
+    assert "theta" not in integrate(problem, steps=64, periods=3, tolerance=0).reason, "a transient was asked for"
 
 
 def step_with_siconos(problem: ContactProblem, start: State, steps: int) -> tuple[np.ndarray, np.ndarray]:
