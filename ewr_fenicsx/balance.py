@@ -105,9 +105,8 @@ class HarmonicBalance:
 
     def unpack(self, unknowns: RealArray) -> tuple[ComplexArray, RealArray]:
         """Force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)`` [m]."""
-        return self.basis.to_amplitudes(self.place(unknowns) * self.force_unit), unknowns[
-            self.size - self.rigid :
-        ] * self.length_unit
+        forces = self.basis.to_amplitudes(self.place(unknowns) * self.force_unit)
+        return forces, unknowns[self.size - self.rigid :] * self.length_unit
 
     def place(self, vector: RealArray) -> RealArray:
         """Coefficients ``(n_c, m)`` of a vector like the unknowns, ``(size,)``; zero where there is no unknown."""

@@ -262,7 +262,6 @@ def integrate(
     begin = time.perf_counter()
     watch, anderson = Watch(scheme), Anderson(scheme)
     sweeps_taken = unsolved = 0
-    reason = f"not steady after {periods} periods"
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
     for _ in range(periods):
@@ -280,8 +279,10 @@ def integrate(
             break
         follows = not acceleration or anderson.defect <= tolerance
         here = end if follows else ahead
-    if reason.startswith("not steady") and tolerance and theta == UNDAMPED:
-        reason += "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
+    else:
+        reason = f"not steady after {periods} periods"
+        if tolerance and theta == UNDAMPED:
+            reason += "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
     return SteadyState(
