@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ewr_fenicsx import ReducedModel
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel
 
 
 def friction_oscillator(
@@ -191,3 +191,18 @@ def winkler_punch(
         pair_area=np.full(pairs, area),
         outputs={"tip": np.eye(pairs + 2)[0]},
     )
+
+
+# Each kind of contact once, with what makes it special
+PROBLEMS = {
+    "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
+    "floating, mean zero": ContactProblem(dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 200.0, 3),
+    "lift-off": ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9),
+    "stuck": ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(friction=0.6), 0.1, 3),
+    "prescribed": ContactProblem(
+        friction_oscillator(damping=0.05),
+        ContactLaws("prescribed", normal_force={0: 0.4, 1: 0.1j}, friction=1.0),
+        0.1,
+        7,
+    ),
+}

@@ -23,9 +23,9 @@ from ewr_fenicsx import (
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import Jump, agree
+from ewr_fenicsx.following import LARGEST_SURPRISE, Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
-from ewr_fenicsx.refining import join_points
+from ewr_fenicsx.refining import join_points, measure_gap, refine_point
 from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
 
 LAWS = ContactLaws(friction=0.3)
@@ -272,3 +272,21 @@ def test_accurate_curves_are_kept_in_files(tmp_path):
 
 def pack(solution):
     return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)
+
+
+def test_a_point_that_crossed_a_fold_is_told_or_left_out():
+    """The upper branch's solution in place of the unstable one: near enough to pass for it but for its side."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    curve = frequency_response(model, laws, np.linspace(0.15, 0.18, 7), 7, progress=False)
+    points = [s for s in curve.solutions if s.side < 0 and 0.1697 < s.problem.frequency < 0.17055]
+    assert len(points) >= 3
+    upper = solve(points[1].problem, max(curve.solutions, key=lambda s: abs(s.output("tip")[1])))
+    assert upper.side == 1 and 0.04 < measure_gap(points[1], upper) < LARGEST_SURPRISE
+    found = [refine_point(s.problem, s, 0.02, 1e-8, 7) for s in points]
+    assert join_points(points, found, []) == (found, [])
+    found[1] = replace(found[1], solution=upper)
+    kept, jumps = join_points(points, found, [])
+    assert kept == [found[0], *found[2:]] and jumps == []
+    kept, (jump, *_) = join_points(points, found, [points[1].problem.frequency])
+    assert kept == found and "this is beyond its fold" in jump.why
+    assert jump.frequency == (points[0].problem.frequency, points[1].problem.frequency)

@@ -7,26 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from petsc4py import PETSc
-from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
+from small_models import PROBLEMS, dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, newton, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.newton import run_newton
 from ewr_fenicsx.scene import Solver
-
-PROBLEMS = {
-    "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
-    "floating, mean zero": ContactProblem(dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 200.0, 3),
-    "lift-off": ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9),
-    "stuck": ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(friction=0.6), 0.1, 3),
-    "prescribed": ContactProblem(
-        friction_oscillator(damping=0.05),
-        ContactLaws("prescribed", normal_force={0: 0.4, 1: 0.1j}, friction=1.0),
-        0.1,
-        7,
-    ),
-}
 
 
 @pytest.fixture

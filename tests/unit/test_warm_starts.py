@@ -6,20 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import dovetail, lift_off_oscillator
+from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
 from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.newton import carry_over, list_starts
 
-SLIPS = ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5)
-LIFTS_OFF = ContactProblem(lift_off_oscillator(excitation=4.0), ContactLaws(friction=0.3), 0.2, 9)
-STUCK = ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(friction=0.6), 0.1, 3)
+SLIPS, LIFTS_OFF = PROBLEMS["floating, slip"], PROBLEMS["lift-off"]
 
 
 def test_a_solution_is_a_start_for_itself():
-    for problem in (SLIPS, LIFTS_OFF, STUCK):
+    for problem in PROBLEMS.values():
         solution = solve(problem, tolerance=1e-10)
         again = solve(problem, start=solution, tolerance=1e-9)
         assert again.iterations == 0 and again.fallbacks == ()
