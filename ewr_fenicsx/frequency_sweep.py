@@ -86,6 +86,18 @@ class FrequencyResponse:
                     break
         return tuple(sorted(found))
 
+    @cached_property
+    def unstable(self) -> np.ndarray:
+        """``(n,)`` solutions that are unstable for sure, as between two folds.
+
+        Only where frequencies run back is there a determinant to look at: its sign changes at folds, and else only
+        where branches cross (``PeriodicSolution.side``).
+        """
+        back = np.diff(self.frequencies) < 0
+        back[list(self.breaks)] = False
+        near = np.append(back, False) | np.insert(back, 0, False)
+        return np.array([bool(at and s.side < 0) for at, s in zip(near, self.solutions, strict=True)], dtype=bool)
+
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
 
@@ -106,7 +118,7 @@ class FrequencyResponse:
         return np.array([s.merit[name] for s in self.solutions])
 
     def table(self) -> dict[str, RealArray]:
-        """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, Newton steps.
+        """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, instability, Newton steps.
 
         Harmonic h of an output is ``Re((re + i im) exp(i h omega t))``.
         """
@@ -118,6 +130,7 @@ class FrequencyResponse:
                 columns[f"im {name} harmonic {h}"] = amplitude.imag
         if self.solutions:
             columns |= {name: self.figure(name) for name in self.solutions[0].merit}
+        columns["unstable"] = self.unstable.astype(int)
         columns["Newton steps"] = np.array([s.iterations for s in self.solutions])
         columns["residual"] = np.array([s.residual for s in self.solutions])
         if self.accurate:

@@ -7,6 +7,7 @@ draws; the other ranks only take part in the gathering.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import dolfinx
@@ -215,18 +216,50 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
 
 
 def draw_curves(
-    path: Path, across: str, x: RealArray, series: Mapping[str, RealArray], breaks: Sequence[int] = ()
+    path: Path,
+    across: str,
+    x: RealArray,
+    series: Mapping[str, RealArray],
+    breaks: Sequence[int] = (),
+    unstable: np.ndarray | None = None,
 ) -> None:
-    """Some figures along a sweep or over cycles, one line each; after the points ``breaks`` lines begin anew."""
-    cut = lambda values: np.insert(np.asarray(values, dtype=float), np.array(breaks, dtype=int) + 1, np.nan)  # noqa: E731
+    """Some figures along a sweep or over cycles, one line each.
+
+    Args:
+        path: Of the picture.
+        across: What ``x`` is.
+        x: ``(n,)``.
+        series: Name -> ``(n,)``.
+        breaks: Points after which lines begin anew.
+        unstable: ``(n,)`` points that no motion in time stays at: lines to them are dashed.
+    """
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
     for k, (name, values) in enumerate(series.items()):
-        axes.plot(cut(x), cut(values), ".-", color=FLANK_COLOURS[k % len(FLANK_COLOURS)], linewidth=1.2, label=name)
+        colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
+        axes.plot([], [], ".-", color=colour, linewidth=1.2, label=name)
+        axes.plot(x, values, ".", color=colour)
+        for style, run in _cut_into_lines(len(x), breaks, unstable):
+            axes.plot(x[run], np.asarray(values)[run], style, color=colour, linewidth=1.2)
+    if unstable is not None and np.any(unstable):
+        axes.plot([], [], "--", color="0.3", linewidth=1.2, label="unstable")
     axes.set_xlabel(across)
     axes.set_ylim(bottom=0.0)
     axes.legend()
     figure.savefig(path, dpi=DPI)
+
+
+def _cut_into_lines(count: int, breaks: Sequence[int], unstable: np.ndarray | None) -> list[tuple[str, slice]]:
+    """Line styles and the points that each runs through; a line to an unstable point is dashed."""
+    at = np.zeros(count, dtype=bool) if unstable is None else np.asarray(unstable)
+    styles = [None if i in breaks else "--" if at[i] or at[i + 1] else "-" for i in range(count - 1)]
+    runs, begin = [], 0
+    for style, steps in groupby(styles):
+        end = begin + len(list(steps))
+        if style:
+            runs.append((style, slice(begin, end + 1)))
+        begin = end
+    return runs
 
 
 _COLOURS = ScalarMappable(Normalize(0.0, 1.0), "viridis")

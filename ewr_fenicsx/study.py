@@ -149,7 +149,7 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     table = curve.table()
     series = {name: table[name] for name in table if name.startswith("rms_")} or {"J_T": table["J_T"]}
     height = next(iter(series.values()))
-    strongest = curve.solutions[int(height.argmax())]
+    strongest = curve.solutions[int(np.where(curve.unstable, -1.0, height).argmax())]
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
@@ -157,17 +157,27 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
         if comm.rank:
             return
         curve.write_csv(folder / "frequency_response.csv")
-        draw_curves(folder / "frequency_response.png", "frequency [Hz]", curve.frequencies, series, curve.breaks)
+        draw_curves(
+            folder / "frequency_response.png",
+            "frequency [Hz]",
+            curve.frequencies,
+            {f"{name} [mm]": 1e3 * values for name, values in series.items()},
+            curve.breaks,
+            curve.unstable,
+        )
 
     told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
     told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
     told += _tell_accuracy(curve, accuracy) if curve.accurate else []
+    lost = int(curve.unstable.sum())
+    told += [f"  {lost} of them are unstable: between folds, where no motion in time stays"] if lost else []
     told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
     told.append(f"strongest at {strongest.summary()}")
     facts: dict[str, object] = {
         "sweep": {
             "solutions": len(curve.solutions),
+            "unstable": lost,
             "missing_Hz": list(curve.missing),
             "jumps": [{"from_Hz": j.frequency[0], "to_Hz": j.frequency[1], "why": j.why} for j in curve.jumps],
         }

@@ -50,6 +50,20 @@ def test_the_curve_turns_back_and_forth_once(curve):
     assert np.all(np.diff(amplitude[turns[0] + 1 : turns[1]]) < 0), "down the middle branch to the lower one"
 
 
+def test_the_middle_branch_is_told_to_be_unstable(curve):
+    """Of the two points at the folds' noses either may be on the unstable side."""
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    assert curve.unstable[turns[0] + 1 : turns[1]].all()
+    assert not curve.unstable[: turns[0]].any() and not curve.unstable[turns[1] + 1 :].any()
+    np.testing.assert_array_equal(curve.table()["unstable"], curve.unstable)
+
+
+def test_no_determinant_is_looked_at_where_no_curve_turns_back(monkeypatch):
+    monkeypatch.delattr("ewr_fenicsx.solution.find_side")
+    straight = frequency_response(stop_oscillator(), LAWS, [0.1, 0.11, 0.12], harmonics=5, progress=False)
+    assert not straight.unstable.any()
+
+
 def test_every_point_of_the_curve_solves_its_problem(curve):
     for s in curve.solutions:
         balance = HarmonicBalance(s.problem.system)
