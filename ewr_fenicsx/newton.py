@@ -99,11 +99,12 @@ def solve(
         solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
+        weights = "the default weights, " if has_own_weights(problem) else ""
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
             f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}. "
-            "Try fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) shows whether "
-            "the motion becomes periodic at all",
+            f"Try {weights}fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) "
+            "shows whether the motion becomes periodic at all",
             best=solution,
         )
     return solution
@@ -126,7 +127,7 @@ def list_rungs(
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
     yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
-    if problem.rho_normal is not None or problem.rho_tangential is not None:
+    if has_own_weights(problem):
         yield "from the default weights", lambda _: leave_default_weights(problem, balance, tolerance, linear_solver)
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
@@ -135,6 +136,11 @@ def list_rungs(
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+
+
+def has_own_weights(problem: ContactProblem) -> bool:
+    """Whether a problem gives weights of its laws, which may be far from the defaults and then cost many steps."""
+    return problem.rho_normal is not None or problem.rho_tangential is not None
 
 
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:

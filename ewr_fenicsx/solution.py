@@ -210,8 +210,9 @@ class PeriodicSolution:
         loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
         viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
         sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
-        seen = ("gap", "normal_force", "friction_force")
-        fine = {name: self.history(name, max(problem.basis.samples, FINE)) for name in seen}
+        fine = sampled
+        if problem.basis.samples < FINE:
+            fine = {name: self.history(name, FINE) for name in ("gap", "normal_force", "friction_force")}
         friction, unilateral = problem.friction, problem.opens
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0

@@ -156,7 +156,7 @@ def test_failure_is_an_error_that_carries_the_best_iterate(unreachable):
     """A tolerance below rounding cannot be met: what was found up to there comes with the error."""
     problem = PROBLEMS["floating, slip"]
     with pytest.raises(
-        NotConverged, match=r"no periodic solution at 481 Hz: .*; residual .* after \d+ Newton steps.*ried"
+        NotConverged, match=r"no periodic solution at 481 Hz: .*; residual .* after \d+ Newton steps.*Try fewer "
     ) as caught:
         solve(problem, tolerance=unreachable)
     best = caught.value.best
@@ -169,6 +169,12 @@ def test_failure_is_an_error_that_carries_the_best_iterate(unreachable):
     returned = solve(problem, tolerance=unreachable, raise_on_failure=False)
     assert not returned.converged
     np.testing.assert_array_equal(returned.forces, best.forces)
+
+
+def test_a_failure_with_weights_of_ones_own_advises_the_default_ones(unreachable):
+    problem = PROBLEMS["floating, slip"]
+    with pytest.raises(NotConverged, match=r"Try the default weights, fewer harmonics, "):
+        solve(replace(problem, rho_normal=1e9), tolerance=unreachable)
 
 
 def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options, unreachable):
