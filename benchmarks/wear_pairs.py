@@ -29,7 +29,7 @@ def measure_volumes(cycles: int, pairs=PAIRS, friction: float = 0.2, frequency: 
         history = evolve_wear(problem, cycles, 1e-11, Tolerance(share=0.005))
         first = history.solutions[0]
         force = np.maximum(0.0, first.history("normal_force", 4096))
-        speed = np.abs(first.history("slip_velocity", 4096))
+        speed = first.sliding_speed(4096)
         integral = 1e-11 / frequency * float(np.mean(force * speed, axis=0).sum())
         rows.append(
             {

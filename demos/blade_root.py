@@ -71,7 +71,7 @@ assert abs(solution.merit["energy_error"]) < 0.05
 # some pairs of each side carry load.
 
 # %%
-sliding = np.abs(solution.history("slip_velocity")).mean(axis=0) / solution.problem.frequency
+sliding = solution.sliding_speed().mean(axis=0) / solution.problem.frequency
 state = classify_contact(solution, 1024)
 print(f"sliding {1e6 * sliding.min():.1f} to {1e6 * sliding.max():.1f} micrometres a cycle")
 print(f"open {(state == OPEN).mean():.0%} and slipping {(state == SLIP).mean():.0%} of the time, mean over pairs")

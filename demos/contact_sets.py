@@ -64,7 +64,7 @@ def describe_flank(solution, pairs: np.ndarray, outward: np.ndarray) -> dict[str
     """Figures of a flank's pairs, from the innermost to the outermost."""
     pairs = pairs[np.argsort(outward[pairs])]
     gap, normal = (solution.history(name, SAMPLES)[:, pairs] for name in ("gap", "normal_force"))
-    speed = np.abs(solution.history("slip_velocity", SAMPLES)[:, pairs])
+    speed = solution.sliding_speed(SAMPLES)[:, pairs]
     return {
         "largest_gap_um": 1e6 * gap.max(axis=0),
         "mean_normal_force_N": normal.mean(axis=0),

@@ -21,12 +21,12 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
     """Depth worn a cycle at each pair, ``k_w`` times the integral of ``p |v|`` over the period, ``(K_c,)`` [m].
 
     Args:
-        solution: Its ``p = max(0, lam_N) / A`` is the pressure [Pa].
+        solution: Its ``p = max(0, lam_N) / A`` is the pressure [Pa], ``|v|`` its ``sliding_speed``.
         coefficient: ``(K_c,)`` wear coefficients ``k_w`` [1/Pa].
     """
     period = 1 / solution.problem.frequency
     pressure = np.maximum(0.0, solution.history("normal_force", SAMPLES)) / solution.problem.model.pair_area
-    return coefficient * period * np.mean(pressure * np.abs(solution.history("slip_velocity", SAMPLES)), axis=0)
+    return coefficient * period * np.mean(pressure * solution.sliding_speed(SAMPLES), axis=0)
 
 
 def find_wearing_pairs(problem: ContactProblem) -> np.ndarray:
@@ -55,7 +55,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     G = system.compliance.rigid_motion[rows]
     free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
     stiffness = free @ np.linalg.pinv(free.T @ flexibility @ free, rcond=1e-10, hermitian=True) @ free.T
-    sliding = np.mean(np.abs(solution.history("slip_velocity", SAMPLES)[:, pairs]), axis=0) / problem.frequency
+    sliding = np.mean(solution.sliding_speed(SAMPLES)[:, pairs], axis=0) / problem.frequency
     weight = coefficient[pairs] * sliding / problem.model.pair_area[pairs]
     decay[np.ix_(pairs, pairs)] = weight[:, None] * stiffness
     return decay

@@ -7,12 +7,12 @@ import numpy as np
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
-def measure_sliding(slip_velocity: RealArray, period: float) -> RealArray:
-    """Distance slid a cycle at each pair, ``(K,)`` [m], from velocities ``(n_t, K)`` [m/s].
+def measure_sliding(speed: RealArray, period: float) -> RealArray:
+    """Distance slid a cycle at each pair, ``(K,)`` [m], from speeds ``(n_t, K)`` [m/s].
 
     Their mean over pairs is the paper's J_T (Eq. 17).
     """
-    return period * np.mean(np.abs(slip_velocity), axis=0)
+    return period * np.mean(speed, axis=0)
 
 
 def measure_separation(gap: RealArray) -> RealArray:

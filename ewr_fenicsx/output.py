@@ -24,6 +24,7 @@ from ewr_fenicsx import _compat, plots
 from ewr_fenicsx.chain import JIT, Chain, add_times
 from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.gathering import vertex_interpolation
+from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
 from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
@@ -198,9 +199,8 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
             for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
                 columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
     if "slip_velocity" in histories:
-        columns["sliding_distance [m/cycle]"] = np.abs(histories["slip_velocity"]).mean(axis=0) / (
-            solution.problem.frequency or 1.0
-        )
+        period = 1 / (solution.problem.frequency or 1.0)
+        columns["sliding_distance [m/cycle]"] = measure_sliding(solution.sliding_speed(SAMPLES), period)
     if solution.problem.wear is not None:
         columns["worn_depth [m]"] = solution.problem.wear
     for name in histories:

@@ -96,6 +96,16 @@ class PeriodicSolution:
         return amplitudes @ system.expansion.T
 
     @cached_property
+    def excitation(self) -> ComplexArray:
+        """Amplitudes of all forces that are given, on the reduced coordinates, ``(n_h, n)``: loads, preloads [N]."""
+        problem, model = self.problem, self.problem.model
+        given = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders], dtype=complex)
+        for h, pressed in problem.system.prescribed.items():
+            if h in self.orders and model.normal is not None:
+                given[self.orders.index(h)] += model.normal.T @ pressed
+        return given
+
+    @cached_property
     def histories(self) -> tuple[str, ...]:
         """Names that ``history`` knows: the usual ones, and what the laws report besides."""
         reported = [name for _, laws in self.problem.groups for kind in laws.kinds for name in kind.histories]
@@ -118,7 +128,6 @@ class PeriodicSolution:
             known = self.histories
             raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
         model, basis = self.problem.model, FourierBasis(self.orders, samples)
-        omega = self.problem.omega * np.array(self.orders)[:, None]
         if name in ("normal_force", "friction_force"):
             direction = "normal" if name == "normal_force" else "tangential"
             if direction not in self.pair_forces:
@@ -135,14 +144,42 @@ class PeriodicSolution:
         if name in ("slip", "slip_velocity"):
             if not model.tangents:
                 return np.zeros((samples, model.pairs))
-            slip = self.coordinates @ model.rows("tangential").T
-            return basis.synthesise(slip if name == "slip" else 1j * omega * slip)
+            slip = self.slip_amplitudes["tangential"]
+            return basis.synthesise(slip if name == "slip" else self._rate * slip)
         admissible = name == "admissible_friction_force"
         reported = self.history("friction_force", samples) if admissible else np.zeros((samples, model.pairs))
         for law, fields in self.law_fields(basis):
             if name in fields:
                 reported[:, law.pairs] = fields[name]
         return reported
+
+    def sliding_speed(self, samples: int = 1024) -> RealArray:
+        """Speed of sliding at every pair over one period, along both tangents in 3-D, ``(samples, K_c)`` [m/s].
+
+        Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
+        add up over a cycle to a distance that nothing slides.
+        """
+        basis = FourierBasis(self.orders, samples)
+        speed = np.zeros((samples, self.problem.model.pairs))
+        for slip in self.slip_amplitudes.values():
+            speed = np.hypot(speed, basis.synthesise(self._rate * slip))
+        slips, told = np.zeros(speed.shape, dtype=bool), np.zeros(speed.shape[1], dtype=bool)
+        for law, fields in self.law_fields(basis):
+            if "slipping" in fields:
+                slips[:, law.pairs] |= fields["slipping"]
+                told[law.pairs] = True
+        return speed * (slips | ~told)
+
+    @cached_property
+    def slip_amplitudes(self) -> Mapping[str, ComplexArray]:
+        """Amplitudes ``(n_h, K_c)`` of the slip at all pairs by tangential direction [m]."""
+        model = self.problem.model
+        return {d: self.coordinates @ model.rows(d).T for d in model.tangent_directions}
+
+    @property
+    def _rate(self) -> ComplexArray:
+        """``(n_h, 1)`` what a derivative by time multiplies amplitudes by [rad/s]."""
+        return 1j * self.problem.omega * np.array(self.orders)[:, None]
 
     def law_fields(self, basis: FourierBasis) -> list[tuple]:
         """What each law reports besides its force, at the samples of ``basis``: ``(law, name -> (n_t, K))``."""
@@ -207,8 +244,7 @@ class PeriodicSolution:
         """
         problem, model = self.problem, self.problem.model
         omega = problem.omega or 1.0
-        loads = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders])
-        viscous = 1j * omega * np.array(self.orders)[:, None] * (self.coordinates @ model.damping.T)
+        viscous = self._rate * (self.coordinates @ model.damping.T)
         sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
         fine = sampled
         if problem.basis.samples < FINE:
@@ -216,12 +252,16 @@ class PeriodicSolution:
         friction, unilateral = problem.friction, problem.opens
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
-        work = indicators.measure_work(loads, self.coordinates, self.orders)
+        work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
         rubbed = 0.0 - period * np.sum(
             np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[rubs]
         )
+        for direction in model.tangent_directions[1:]:  # of truncated and admissible force, the law makes them one
+            acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
+            force, slip = self.pair_forces[direction][:, acts], self.slip_amplitudes[direction][:, acts]
+            rubbed -= indicators.measure_work(force, slip, self.orders)
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
             "penetration": max(0.0, -float(fine["gap"][:, unilateral].min(initial=0.0))),
@@ -234,7 +274,7 @@ class PeriodicSolution:
             "viscous_dissipation": dissipated,
             "friction_dissipation": float(rubbed),
             "energy_error": (work - dissipated - float(rubbed)) / scale,
-            "J_T": float(np.mean(indicators.measure_sliding(sampled["slip_velocity"], period))),
+            "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(problem.basis.samples), period))),
             "J_N": float(np.mean(indicators.measure_separation(sampled["gap"]))),
         }
         for name in model.outputs:
@@ -248,11 +288,7 @@ class PeriodicSolution:
             return ()
         merit, coarse = self.merit, []
         exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
-        swinging = sum(
-            np.pi * h * float(np.abs(self.problem.loads.get(h, 0)) @ np.abs(x))
-            for h, x in zip(self.orders, self.coordinates, strict=True)
-            if h in self.problem.loads
-        )
+        swinging = np.pi * float(np.array(self.orders) @ np.sum(np.abs(self.excitation * self.coordinates), axis=1))
         if abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
             coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
         if merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:

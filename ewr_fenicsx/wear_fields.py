@@ -33,7 +33,7 @@ def tabulate_wear_fields(history: WearHistory) -> dict[str, RealArray]:
     for i, solution in enumerate(history.solutions):
         force = np.maximum(0.0, solution.history("normal_force", SAMPLES))
         pressure[i] = force.mean(axis=0) / solution.problem.model.pair_area
-        sliding[i] = np.abs(solution.history("slip_velocity", SAMPLES)).mean(axis=0) / solution.problem.frequency
+        sliding[i] = solution.sliding_speed(SAMPLES).mean(axis=0) / solution.problem.frequency
     indicator = np.broadcast_to(sliding.mean(axis=1)[:, None], sliding.shape)
     values = (history.gap, pressure, sliding, indicator)
     return dict(zip(WEAR_FIELDS, values, strict=True))

@@ -338,6 +338,9 @@ def test_planar_friction_under_a_rotating_load_is_a_circle(frequency):
     assert ((1 - w**2) * r) ** 2 + (c * w * r + F) ** 2 == pytest.approx(P**2, rel=1e-9)
     assert y == pytest.approx(-1j * x, rel=1e-9), "a circle"
     assert solution.unknowns == 2 * 5, "two directions at harmonics 0, 1 and 3"
+    assert solution.merit["friction_dissipation"] == pytest.approx(2 * np.pi * r * F, rel=1e-9)
+    assert solution.merit["J_T"] == pytest.approx(2 * np.pi * r, rel=1e-9)
+    assert abs(solution.merit["energy_error"]) < 1e-9
     np.testing.assert_allclose(solution.output("x")[2:], 0.0, atol=1e-9)
 
 
