@@ -224,6 +224,8 @@ def compose(problem: ContactProblem) -> ContactSystem:
     load, prescribed = dict(problem.loads), {}
     for pairs, laws in problem.groups:
         for h, amplitude in laws.kinds[0].give_force(pairs.size).items():
+            if not np.any(amplitude):
+                continue  # symmetry may have left that harmonic out
             prescribed.setdefault(h, np.zeros(model.pairs, dtype=complex))[pairs] = amplitude
             if model.normal is not None:
                 if h not in basis.orders:

@@ -26,12 +26,17 @@ NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near;
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
 SMALLEST_STEP = 2e-5  # of the frequency
 TRACED_POINTS = 600
+BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
 
 @dataclass(frozen=True, eq=False)
 class Jump:
-    """Where a curve is broken: two frequencies [Hz] between which no branch was found, and what was tried."""
+    """Where a curve is broken: two frequencies [Hz] between which no branch was found, and what was tried.
+
+    What is found beyond may belong to another branch, which may go on at lower frequencies: a sweep from there down
+    (``solve`` with ``start=``) would tell.
+    """
 
     frequency: tuple[float, float]
     why: str
@@ -176,9 +181,10 @@ class Follower:
         """Arc-length continuation from a point next to a fold until the branch passes ``target``; ends with that."""
         unit = HarmonicBalance(here.problem.system).force_unit
         span = self.highest - self.lowest
+        least, most = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest), self.highest + BEYOND * span
 
         def balance_at(frequency: float) -> HarmonicBalance:
-            return HarmonicBalance(self.problem_at(frequency).system, unit)
+            return HarmonicBalance(self.problem_at(max(frequency, 0.9 * least)).system, unit)  # a trial may go anywhere
 
         def as_branch_point(solution: PeriodicSolution) -> BranchPoint:
             balance = balance_at(solution.problem.frequency)
@@ -192,7 +198,7 @@ class Follower:
             balance_at, point, span, step=first, smallest_step=1e-7, largest_step=0.1, before=last, stray=3.0
         )
         for point in branch:
-            if not self.lowest - 0.1 * span <= point.parameter <= self.highest + 0.1 * span:
+            if not least <= point.parameter <= most:
                 why = f"the branch left the range of frequencies at {point.parameter:g} Hz"
                 break
             if len(curve.points) >= TRACED_POINTS:
@@ -214,7 +220,8 @@ class Follower:
             cold = solve(self.problem_at(target), tolerance=self.tolerance)
         except NotConverged as error:
             return Curve([], [Jump((here.problem.frequency, target), f"{why}; {error}")])
-        return Curve([cold], [Jump((here.problem.frequency, target), f"{why}; solved from cold")])
+        why += "; solved from cold, maybe on another branch"
+        return Curve([cold], [Jump((here.problem.frequency, target), why)])
 
     def _wrap(self, point: BranchPoint, balance_at: Callable[[float], HarmonicBalance]) -> PeriodicSolution:
         balance = balance_at(point.parameter)

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.errors import ModelError
@@ -116,6 +117,7 @@ def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray
         )
     rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
     if np.any(rigid):
-        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], np.linalg.solve(model.mass, rows[rigid].T))
+        inverse = scipy.linalg.pinvh(model.mass)  # other coordinates may have no mass
+        mobility[rigid] = np.einsum("mn,nk,mk->m", rows[rigid], inverse, rows[rigid])
         elastic[rigid] = 0.0
     return elastic, mobility

@@ -24,6 +24,7 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
+from ewr_fenicsx.walking import WALKS
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -88,7 +89,7 @@ def solve(
         for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].reason}")
-            if attempts[-1].converged:
+            if attempts[-1].converged or attempts[-1].reason == WALKS:
                 break
             best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
     fallbacks = tuple(tried) if len(tried) > 1 else ()
@@ -99,12 +100,10 @@ def solve(
         solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
-        weights = "the default weights, " if has_own_weights(problem) else ""
+        advice = list_remedies(problem) if solution.reason != WALKS else ""
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
-            f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}. "
-            f"Try {weights}fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) "
-            "shows whether the motion becomes periodic at all",
+            f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}{advice}",
             best=solution,
         )
     return solution
@@ -136,6 +135,15 @@ def list_rungs(
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+
+
+def list_remedies(problem: ContactProblem) -> str:
+    """What a user may try where every way failed."""
+    weights = "the default weights, " if has_own_weights(problem) else ""
+    return (
+        f". Try {weights}fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) shows "
+        "whether the motion becomes periodic at all"
+    )
 
 
 def has_own_weights(problem: ContactProblem) -> bool:

@@ -10,6 +10,7 @@ from ewr_fenicsx.time_stepping import Period, TimeScheme
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), or by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip).
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
+_SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
 _WINDOW = 6  # periods that the extrapolation looks back on
 
 
@@ -48,6 +49,15 @@ class Watch:
         """Output name -> its values at all steps of all periods."""
         values = np.concatenate([part[i > 1 :] for i, part in enumerate(self.history)])  # periods share their ends
         return {name: values[:, i] for i, name in enumerate(self.names)}
+
+
+def walks_on(period: Period, scheme: TimeScheme) -> bool:
+    """Whether a period ends with the velocities that it began with, but elsewhere: a body moves on with each."""
+    weight = np.sqrt(np.maximum(scheme.mass, 0.0))
+    speed = np.abs(weight * period.velocities).max(initial=0.0)
+    changed = np.abs(weight * (period.velocities[-1] - period.velocities[0])).max(initial=0.0)
+    gone = np.abs(weight * (period.positions[-1] - period.positions[0])).max(initial=0.0)
+    return bool(changed <= _SAME * speed and gone > _GONE * speed * scheme.steps * scheme.dt)
 
 
 class Anderson:

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.walking import WALKS, walks
 
 LinearSolver = Literal["elimination", "dense"]
 
@@ -91,6 +92,8 @@ def run_newton(
         for item in (snes, matrix, x, r):
             item.destroy()
     residual = float(np.linalg.norm(balance.residual(found)))
+    if residual <= tolerance and walks(balance, found):
+        return Attempt(found, residual, steps, WALKS, False)
     return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)
 
 

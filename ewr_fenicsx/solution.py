@@ -115,11 +115,11 @@ class PeriodicSolution:
         """A quantity of every pair over one period, ``(samples, K_c)``.
 
         Args:
-            name: ``"normal_force"``, ``"friction_force"`` (as truncated), ``"admissible_friction_force"`` (in the cone)
-                [N];
-                ``"gap"`` (initial gap included), ``"slip"`` [m]; ``"slip_velocity"`` [m/s]; or what a law of your own
-                reports, zero at other pairs.
-            samples: Samples a period.
+            name: ``"normal_force"`` (presses where positive), ``"friction_force"`` (as truncated) and
+                ``"admissible_friction_force"`` (in the cone), on body A along the tangent [N]; ``"gap"`` (initial gap
+                included), ``"slip"`` of A along the tangent, relative to B [m]; ``"slip_velocity"`` [m/s]; or what a
+                law of your own reports, zero at other pairs. In 3-D the tangent is the first one.
+            samples: Samples a period, from ``tau = omega t = 0`` on, its end left out.
 
         Raises:
             ModelError: An unknown name.
@@ -297,6 +297,8 @@ class PeriodicSolution:
         if self.fallbacks:
             stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
+        elif self.side < 0:
+            lines.append("unstable: motions in time leave it; integrate(problem) shows where to")
         return tuple(lines)
 
     def list_reservations(self) -> list[str]:

@@ -52,8 +52,8 @@ def find_holding(
         free = np.linalg.svd(seen)[2][-1]
         raise UnheldBody(
             "a floating body can move without any contact noticing: its rigid motion is "
-            f"{np.array2string(free, precision=3)} in the model's rigid modes; add friction, a support or a flank "
-            "across it"
+            f"{np.array2string(free, precision=3)} in the model's rigid modes; add friction (resolved), a support or a "
+            "flank across it"
         )
     if rest > _BALANCED:
         opening = normal_motion @ motion

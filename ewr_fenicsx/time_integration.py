@@ -11,7 +11,7 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.periodicity import Anderson, Watch
+from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
@@ -281,7 +281,9 @@ def integrate(
         here = end if follows else ahead
     else:
         reason = f"not steady after {periods} periods"
-        if tolerance and theta == UNDAMPED:
+        if walks_on(last, scheme):
+            reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
+        elif tolerance and theta == UNDAMPED:
             reason += "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_laws import Bond, Coulomb, Signorini, spread_over_pairs
 from ewr_fenicsx.contact_problem import compose
@@ -226,3 +226,37 @@ def test_bodies_in_space_may_slide_freely_or_not_at_all(tangential):
     assert system.model.size == (16 if tangential == "frictionless" else 10)
     if tangential == "bonded":
         np.testing.assert_allclose(model.tangential @ system.expansion, 0.0, atol=1e-14)
+
+
+def punch(node_mass: float) -> ReducedModel:
+    """A body on a contact spring, free to slide along; the contact node between may have no mass."""
+    spring = 50.0 * np.array([[0.0, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 1.0]])
+    return ReducedModel(
+        mass=np.diag([1.0, 1.0, node_mass]),
+        damping=0.01 * spring,
+        stiffness=spring,
+        normal=[[0.0, 0.0, 1.0]],
+        tangential=[[1.0, 0.0, 0.0]],
+        load={0: [0.0, -1.0, 0.0], 1: [1.0, 0.0, 0.0]},
+        outputs={"along": [1.0, 0.0, 0.0]},
+    )
+
+
+def test_a_row_that_nothing_bends_needs_no_mass_elsewhere():
+    """Its own mass is the unit of its weight; a contact node without any is the limit of a light one."""
+    laws = ContactLaws(friction=0.3)
+    bare, light = (solve(ContactProblem(punch(mass), laws, 0.3, 7)) for mass in (0.0, 1e-7))
+    assert bare.merit["J_T"] > 0.01
+    here, there = bare.output("along"), light.output("along")
+    np.testing.assert_allclose(here, there, atol=1e-5 * abs(there).max())
+
+
+def test_no_normal_force_at_all_is_no_friction():
+    """The mean is then left out by symmetry, though it is given: as zero."""
+    model = random_structure()
+    model = replace(model, load={1: np.ones(model.size)})
+    pressed = ContactProblem(model, ContactLaws("prescribed", normal_force=0.0, friction=0.3), 0.2, 5)
+    free = ContactProblem(model, ContactLaws("prescribed", "frictionless", normal_force=0.0), 0.2, 5)
+    for name in model.outputs:
+        np.testing.assert_allclose(solve(pressed).output(name), solve(free).output(name), rtol=1e-9, atol=1e-12)
+    assert solve(pressed).left_out == (0, 2, 4)

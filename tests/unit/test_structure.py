@@ -18,8 +18,8 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem", "elimination",
-    "balance", "stability", "indicators", "solution", "time_stepping", "periodicity", "time_integration", "symmetry",
-    "continuation", "snes", "ladder", "newton", "estimates", "accuracy", "cost", "progress", "task_sharing",
+    "balance", "stability", "walking", "indicators", "solution", "time_stepping", "periodicity", "time_integration",
+    "symmetry", "continuation", "snes", "ladder", "newton", "estimates", "accuracy", "cost", "progress", "task_sharing",
     "solution_store", "following", "refining", "frequency_sweep", "archard", "wear_store", "wear_accuracy",
     "wear", "scene_errors",
     "scene_entries", "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials",

@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, solve
 from ewr_fenicsx.balance import HarmonicBalance
 
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
@@ -62,6 +62,36 @@ def test_no_determinant_is_looked_at_where_no_curve_turns_back(monkeypatch):
     monkeypatch.delattr("ewr_fenicsx.solution.find_side")
     straight = frequency_response(stop_oscillator(), LAWS, [0.1, 0.11, 0.12], harmonics=5, progress=False)
     assert not straight.unstable.any()
+
+
+def test_a_trial_step_to_no_frequency_ends_no_sweep():
+    """Two coupled masses, a stop that rubs and a load of three harmonics: from a corner, a trial went below zero."""
+    stiffness = sum(
+        k * np.outer(row, row)
+        for k, row in (
+            (1.0, np.array([1.0, 0.0, 0.0, 0.0])),
+            (2.0, np.array([1.0, -1.0, 0.0, 0.0])),
+            (0.5, np.array([0.0, 1.0, 0.0, 0.0])),
+            (1.5, np.array([1.0, 0.0, -1.0, 0.0])),
+            (1.0, np.array([0.0, 1.0, 0.0, -1.0])),
+            (0.05, np.array([0.0, 0.0, 0.0, 1.0])),
+            (0.2, np.array([0.0, 0.0, 1.0, 1.0])),
+        )
+    )
+    mass = np.diag([1.0, 0.5, 0.0, 0.0])
+    model = ReducedModel(
+        mass=mass,
+        damping=0.02 * mass + 0.01 * stiffness,
+        stiffness=stiffness,
+        normal=[[0.0, 0.0, -1.0, 0.0]],
+        tangential=[[0.0, 0.0, 0.0, 1.0]],
+        load={0: [0.05, 0, 0, 0], 1: [0.12, 0.05j, 0, 0], 3: [0, 0.08j, 0, 0]},
+        outputs={"a": [1.0, 0.0, 0.0, 0.0]},
+    )
+    laws = ContactLaws(friction=0.5, initial_gap=0.25)
+    curve = frequency_response(model, laws, np.linspace(0.13, 0.30, 35), harmonics=15, progress=False)
+    assert np.isin(np.linspace(0.13, 0.30, 35), curve.frequencies).mean() > 0.9
+    assert curve.frequencies.min() > 0.1
 
 
 def test_every_point_of_the_curve_solves_its_problem(curve):

@@ -30,6 +30,14 @@ def test_between_the_folds_solutions_are_unstable(branches):
         assert {solution.side for solution in branches[name]} == {side}, name
 
 
+def test_a_summary_says_so_however_it_was_found(branches):
+    for name, told in (("upper", False), ("middle", True), ("lower", False)):
+        solution = branches[name][len(branches[name]) // 2]
+        assert solution.fallbacks == ()
+        assert any("unstable: motions in time leave it" in line for line in solution.cautions) == told
+        assert ("unstable" in solution.summary()) == told
+
+
 def test_harmonics_do_not_change_the_side(branches):
     for name, side in (("upper", 1), ("middle", -1), ("lower", 1)):
         middle = branches[name][len(branches[name]) // 2]

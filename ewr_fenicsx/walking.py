@@ -1,0 +1,31 @@
+"""Bodies that hang on friction alone and walk: a little further every cycle, so that no motion is periodic.
+
+Where pairs stick throughout, friction says nothing of the mean force that each of them carries: springs decide
+(``static_displacement_row``), so weak that they take next to nothing from the law. Where the pairs slip and friction
+cannot carry the mean load, the springs alone would hold the body, drawn out to no end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.reduced_model import RealArray
+
+NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-4 or less
+WALKS = (
+    "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
+    "is periodic; add a support or friction, or take from the load"
+)
+
+
+def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
+    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
+    held = balance.static_displacement_row > 0
+    if not (balance.basis.has_mean and np.any(held)):
+        return False
+    forces, rigid = balance.unpack(unknowns)
+    drawn = balance.compliance.motion(forces[:1], rigid)[0].real
+    left_over = balance.static_force_row * forces[0].real + balance.static_displacement_row * drawn  # by the law
+    largest = np.abs(balance.basis.synthesise(forces[:, held])).max()
+    return bool(np.abs(left_over[held]).max() > NOTICED * largest)

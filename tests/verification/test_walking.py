@@ -1,0 +1,97 @@
+"""A body that hangs on friction alone: it rests, slides to and fro, or walks, and then no motion is periodic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, integrate, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.walking import NOTICED, walks
+
+LIMIT = 0.3
+
+
+def sled(loads: dict[int, complex], pressed: dict[int, complex] | float = 1.0) -> ContactProblem:
+    """A mass of one that lies on the ground, with nothing but friction to hold it."""
+    model = ReducedModel(
+        mass=[[1.0]],
+        damping=[[0.0]],
+        stiffness=[[0.0]],
+        tangential=[[1.0]],
+        load={h: [f] for h, f in loads.items()},
+        outputs={"sled": [1.0]},
+    )
+    return ContactProblem(model, ContactLaws("prescribed", normal_force=pressed, friction=LIMIT), 0.3, 15)
+
+
+def drift(problem: ContactProblem) -> float:
+    """Way of the sled in a period after many, by time steps of ``x'' = f - clip`` of their own [m]."""
+    steps, period = 4000, 1 / problem.frequency
+    dt, v, ways = period / steps, 0.0, []
+    tau = 2 * np.pi * (np.arange(steps) + 0.5) / steps
+    signal = lambda given: sum((np.exp(1j * h * tau) * np.ravel(a)[0]).real for h, a in given.items())  # noqa: E731
+    pressed = problem.laws.normal_force
+    limit = LIMIT * (signal(pressed) if isinstance(pressed, dict) else np.full(steps, pressed))
+    for _ in range(100):
+        way = 0.0
+        for push, most in zip(dt * signal(problem.loads), dt * limit, strict=True):
+            free = v + push
+            v = free - min(max(free, -most), most)
+            way += v * dt
+        ways.append(way)
+    return ways[-1]
+
+
+WALKERS = {
+    "a mean load": ({0: 0.1, 1: 1.0}, 1.0),
+    "a little too much": ({0: 0.1, 1: 0.25}, 1.0),
+    "two harmonics": ({1: 1.0, 2: 0.7}, 1.0),
+    "pressed in time": ({1: 1.0}, {0: 1.0, 1: 0.8}),
+}
+HELD = {
+    "at rest": ({0: 0.1, 1: 0.19}, 1.0),
+    "to and fro": ({1: 1.0}, 1.0),
+    "to and fro by odd harmonics": ({1: 1.0, 3: 0.7}, 1.0),
+}
+
+
+@pytest.mark.parametrize("name", WALKERS)
+def test_a_body_that_walks_has_no_periodic_solution(name):
+    problem = sled(*WALKERS[name])
+    assert abs(drift(problem)) > 1e-3
+    with pytest.raises(NotConverged, match=r"hangs on friction walks.*add a support or friction") as caught:
+        solve(problem)
+    assert not caught.value.best.converged and len(caught.value.best.fallbacks) == 0, "no other way is tried"
+    assert "Try fewer harmonics" not in str(caught.value)
+    steady = integrate(problem, steps=400, periods=30)
+    assert not steady.converged and "a body walks" in steady.reason
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_a_body_that_does_not_walk_is_solved(name):
+    problem = sled(*HELD[name])
+    solution = solve(problem)
+    motion = np.ptp(solution.history("slip")[:, 0])
+    assert abs(drift(problem)) < 1e-2 * max(motion, 1e-3)
+    assert solution.converged and (motion < 1e-9) == (name == "at rest")
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(name, monkeypatch):
+    monkeypatch.setattr("ewr_fenicsx.walking.NOTICED", 0.1 * NOTICED)
+    solution = solve(replace(sled(*HELD[name]), harmonics=tuple(range(16))))  # a list: with the mean, symmetry or not
+    balance = HarmonicBalance(solution.problem.system)
+    assert np.any(balance.static_displacement_row > 0) and balance.basis.has_mean
+    assert not walks(balance, balance.pack(solution.forces, solution.rigid))
+
+
+def test_a_sweep_leaves_out_where_the_body_walks():
+    """The pull is not carried where the mass follows the load, whatever the frequency; the rest of a family is kept."""
+    problem = sled({0: 0.1, 1: 1.0})
+    laws = {1.0: problem.laws, 9.0: ContactLaws("prescribed", normal_force=9.0, friction=LIMIT)}
+    curves = frequency_response(problem.model, laws, [0.2, 0.3], 5, progress=False)
+    assert curves[1.0].missing == (0.2, 0.3) and curves[9.0].missing == ()
