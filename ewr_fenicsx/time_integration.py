@@ -172,7 +172,7 @@ class SteadyState:
         x, v = self.last.positions @ scheme.expansion.T, self.last.velocities @ scheme.expansion.T
         blend = lambda values: (1 - scheme.theta) * values[:-1] + scheme.theta * values[1:]  # noqa: E731
         left = np.diff(v, axis=0) / scheme.dt @ model.mass.T + blend(v) @ model.damping.T + blend(x) @ model.stiffness.T
-        left -= scheme.sample(model.load, np.arange(model.size))
+        left -= scheme.sample(self.problem.loads, np.arange(model.size))
         if model.normal is not None:
             left -= found["normal"] @ model.normal
         if model.tangents:
