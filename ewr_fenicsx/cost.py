@@ -66,16 +66,17 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         for h, amplitude in zip(orders, motion.output(name), strict=True):
             if 0 < h <= HIGHEST:
                 output[h - 1, i] = amplitude
-    names = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
-    force, friction, gap, slip, velocity = (motion.history(name, SAMPLES) for name in names)
+    names = ("normal_force", "friction_force", "gap", "slip")
+    force, friction, gap, slip = (motion.history(name, SAMPLES) for name in names)
+    speed = motion.sliding_speed(SAMPLES)
     period, pressing = 1 / problem.frequency, np.maximum(0.0, force)
     limit = problem.friction * pressing
     opening = max(gap[:, problem.opens].max(initial=0.0), np.ptp(slip, axis=0).max(initial=0.0)) or 1.0
     return Figures(
         output=output,
-        sliding=period * np.abs(velocity).mean(axis=0),
+        sliding=period * speed.mean(axis=0),
         normal_force=force,
-        wear=period * (pressing / problem.model.pair_area * np.abs(velocity)).mean(axis=0),
+        wear=period * (pressing / problem.model.pair_area * speed).mean(axis=0),
         penetration=max(0.0, -float(gap[:, problem.opens].min(initial=0.0))) / opening,
         tension=max(0.0, -float(force[:, problem.opens].min(initial=0.0))) / (float(force.max(initial=0.0)) or 1.0),
         cone_violation=float((np.abs(friction) - limit)[:, problem.friction > 0].max(initial=0.0))

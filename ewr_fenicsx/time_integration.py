@@ -148,6 +148,14 @@ class SteadyState:
         slip = motion[:-1] @ (model.rows("tangential") @ expansion).T if model.tangents else zero
         return resample(slip, 0.0, samples)
 
+    def sliding_speed(self, samples: int | None = None) -> RealArray:
+        """Speed of sliding at every pair over the last period, along both tangents in 3-D, ``(samples, K_c)`` [m/s]."""
+        model, expansion = self.problem.model, self.scheme.expansion
+        speed = np.zeros((self.scheme.steps, model.pairs))
+        for direction in model.tangent_directions:
+            speed = np.hypot(speed, self.last.velocities[:-1] @ (model.rows(direction) @ expansion).T)
+        return resample(speed, 0.0, samples)
+
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
         problem, system, scheme = self.problem, self.scheme.system, self.scheme
