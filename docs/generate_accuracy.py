@@ -321,11 +321,10 @@ the Jacobian's determinant differs, whatever the number of harmonics. A branch t
 not found.
 
 Wear with an accuracy asks the same of the wear rate, by its largest error over its largest value: where most pairs
-stick, outputs thought right within 1 % may come with a worn depth that is off by 15 %: a case of
+stick, outputs thought right within 1 % may come with a worn depth that is off by more than 6 %: a case of
 `tests/verification/test_wear.py`. Harmonics are chosen for the unworn joint and looked at again at every step that is
 kept; jumps are by the same accuracy unless `wear.tolerance` gives their own. The worn depth is tested to be right
-within three times the accuracy: once by the jumps, and twice because each rate is judged by single Newton steps while
-the depth is their sum. `wear.csv` has the same two columns.
+within twice the accuracy: once by the jumps, and once by the rates. `wear.csv` has the same two columns.
 
 From Python: `frequency_response(..., accuracy=0.01)`, where `harmonics` are those of the first pass; `more_modes` of
 `solve_to_accuracy` says how to get more modes. `evolve_wear(..., accuracy=0.01)` takes the same arguments, and `figure`
