@@ -159,7 +159,6 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     with name_place(scene, chain.interface):
         report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
     if comm.rank == 0:
-        files = report.write(folder)
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
         table = Table("knob", box=None, pad_edge=False, header_style="bold")
         for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
@@ -168,7 +167,8 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
             cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
             table.add_row(escape(row["knob"]), *cells, *(f"{error:.1e}" for error in row["errors"].values()))
         console.print(table)
-        print(report.told, *files, sep="\n")
+        print(report.told, flush=True)  # before anything that drawing may stumble over
+        print(*report.write(folder), sep="\n")
     return 0
 
 

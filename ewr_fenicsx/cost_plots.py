@@ -15,7 +15,7 @@ COLOURS = ("#1d6fb8", "#c1121f", "#2a9d57", "#e08e0b", "#7b3fa0", "#444444", "#0
 
 
 def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str, str], title: str = "") -> None:
-    """Error against processor time on double logarithmic axes, a panel an error.
+    """Error against processor time on double logarithmic axes, a panel an error; it says so where there is none.
 
     Args:
         path: Picture to write.
@@ -29,6 +29,11 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
     grid = figure.subplots(lines, columns, squeeze=False)
     knobs = list(dict.fromkeys(row["knob"] for row in rows))
     for axes, (error, label) in zip(grid.flat, errors.items(), strict=False):
+        axes.set(xlabel="processor time [s]", ylabel="relative error", title=label)
+        if not any(row["converged"] and row["errors"][error] > 0 for row in rows):
+            axes.text(0.5, 0.5, "exact with every setting", transform=axes.transAxes, ha="center", va="center")
+            axes.set(xticks=[], yticks=[])
+            continue
         for k, knob in enumerate(knobs):
             mine = [row for row in rows if row["knob"] == knob and row["converged"] and row["errors"][error] > 0]
             if not mine:
@@ -67,9 +72,9 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
             zorder=0,
             label="Pareto front",
         )
-        axes.set(xscale="log", yscale="log", xlabel="processor time [s]", ylabel="relative error", title=label)
+        axes.set(xscale="log", yscale="log")
         axes.grid(visible=True, which="major", alpha=0.3)
-        axes.legend(fontsize=6.5, framealpha=0.7)
+        axes.legend(fontsize=6.5, framealpha=0.7, title="knob (p): error ~ time^p", title_fontsize=6.5)
     for axes in list(grid.flat)[len(errors) :]:
         axes.set_visible(False)
     figure.suptitle(title)

@@ -30,9 +30,10 @@ TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "n
 class CostReport:
     """A survey of a scene: rows as of ``survey``, how far its reference can be trusted, and a few lines for people.
 
-    ``stages`` are the seconds of a run by stage: the chain, a solve as the scene states it, and writing its results.
+    ``title`` names the scene. ``stages`` are the seconds of a run by stage: the chain, a solve as the scene states it, and writing its results.
     """
 
+    title: str
     rows: list[dict]
     reference: str
     own_error: float
@@ -48,7 +49,8 @@ class CostReport:
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")
-        draw_work_precision(files[1], [row for row in self.rows if row["knob"] in knobs], TITLES, self.reference)
+        shown = [row for row in self.rows if row["knob"] in knobs]
+        draw_work_precision(files[1], shown, TITLES, f"{self.title}\nreference: {self.reference}")
         return files
 
 
@@ -91,7 +93,8 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
         told.append(f"  {level:>6.1%}: " + ("none of the settings tried" if best is None else _tell(best)))
     stages = time_run(chain)
     told.append("stages of a run: " + ", ".join(f"{stage} {t:.2f} s" for stage, t in stages.items()))
-    return CostReport(rows, name, own, "\n".join(told), stages)
+    title = chain.scene.title or chain.scene.geometry.source.stem
+    return CostReport(title, rows, name, own, "\n".join(told), stages)
 
 
 def time_run(chain: Chain) -> dict[str, float]:

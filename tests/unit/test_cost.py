@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from small_models import lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
@@ -19,6 +20,7 @@ from ewr_fenicsx.cost import (
     measure_figures,
     survey,
 )
+from ewr_fenicsx.cost_plots import draw_work_precision
 
 PROBLEM = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.7 / (2 * np.pi))
 
@@ -121,3 +123,18 @@ def test_an_error_met_by_chance_does_not_count():
     ]
     assert choose_cheapest(rows, "output", 0.01)["value"] == 9
     assert choose_cheapest(rows, "output", 0.001) is None
+
+
+def test_an_error_that_no_setting_has_is_drawn_as_such(tmp_path, monkeypatch):
+    """Given normal forces are exact: nothing that a logarithmic axis could show, beside a panel that has something."""
+    drawn = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: (drawn.append(figure), save(figure, path)))
+    rows = [row(value=n, seconds=n, error=1 / n) for n in (1, 2, 5)]
+    rows = [r | {"errors": r["errors"] | {"forces": 0.0}} for r in rows]
+    draw_work_precision(tmp_path / "cost.png", rows, {"output": "response", "forces": "normal forces"}, "a beam")
+    assert (tmp_path / "cost.png").stat().st_size > 0
+    response, forces = drawn[0].axes
+    assert len(response.get_lines()) == 2 and response.get_xscale() == "log"
+    assert not forces.get_lines() and [text.get_text() for text in forces.texts] == ["exact with every setting"]
+    assert drawn[0]._suptitle.get_text() == "a beam"
