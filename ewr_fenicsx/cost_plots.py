@@ -31,7 +31,8 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
     for axes, (error, label) in zip(grid.flat, errors.items(), strict=False):
         axes.set(xlabel="processor time [s]", ylabel="relative error", title=label)
         if not any(row["converged"] and row["errors"][error] > 0 for row in rows):
-            axes.text(0.5, 0.5, "exact with every setting", transform=axes.transAxes, ha="center", va="center")
+            why = "exact with every setting" if any(row["converged"] for row in rows) else "no setting has a solution"
+            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center")
             axes.set(xticks=[], yticks=[])
             continue
         for k, knob in enumerate(knobs):

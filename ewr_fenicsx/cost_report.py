@@ -30,7 +30,8 @@ TITLES = {"output": "response (amplitude and phase)", "wear": "wear a cycle", "n
 class CostReport:
     """A survey of a scene: rows as of ``survey``, how far its reference can be trusted, and a few lines for people.
 
-    ``title`` names the scene. ``stages`` are the seconds of a run by stage: the chain, a solve as the scene states it, and writing its results.
+    ``title`` names the scene. ``stages`` are the seconds of a run by stage: the chain, a solve as the scene states it,
+    and writing its results.
     """
 
     title: str
