@@ -91,14 +91,18 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     from ewr_fenicsx.chain import Stopwatch, build_chain
     from ewr_fenicsx.output import list_files, write_results
     from ewr_fenicsx.result_folder import check_target
-    from ewr_fenicsx.study import run_study
+    from ewr_fenicsx.study import can_resume, run_study
+    from ewr_fenicsx.work_folder import holds_work, keep_work, name_work_folder
 
     check_target(folder, overwrite=arguments.overwrite, comm=comm)
-    with show_progress(comm) as progress:
+    work = name_work_folder(folder) if can_resume(scene) else None
+    if work and holds_work(work, comm) and comm.rank == 0:
+        print(f"ewr: going on with the work in {work}", file=sys.stderr, flush=True)
+    with keep_work(work, comm), show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
         with name_place(scene, chain.interface):
-            study = run_study(chain, progress)
+            study = run_study(chain, progress, work)
         with Stopwatch(progress).stage("write"):
             files = write_results(
                 folder,
@@ -281,8 +285,8 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         return action()
     except EwrError as error:
         message, code = f"ewr: {error}", error.exit_code
-    except KeyboardInterrupt:
-        message, code = "ewr: interrupted", 130
+    except KeyboardInterrupt as stop:
+        message, code = "; ".join(["ewr: interrupted", *map(str, stop.args)]), 130
     except Exception:
         if comm.size == 1:
             raise

@@ -18,8 +18,10 @@ from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.reduction import keep_more_modes
+from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import find_idle_harmonics
+from ewr_fenicsx.work_folder import refuse_other_work, take_up_model
 
 if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
@@ -50,18 +52,32 @@ class Study:
     facts: Mapping[str, object] = field(default_factory=dict)
 
 
-def run_study(chain: Chain, progress: Progress | None = None) -> Study:
+def can_resume(scene: Scene) -> bool:
+    """Whether a scene's study goes on from where it was interrupted; one that may raise its modes on the way cannot."""
+    return len(scene.frequencies) > 1 or (scene.wear is not None and scene.solver.accuracy is None)
+
+
+def run_study(chain: Chain, progress: Progress | None = None, work: Path | None = None) -> Study:
     """Solves what the scene of a chain asks for; collective.
+
+    Args:
+        chain: What to solve on.
+        progress: As in ``build_chain``.
+        work: Folder of the work in progress, from which an interrupted study goes on, where it can; the caller's to
+            remove (``keep_work``). None: nothing is kept.
 
     Raises:
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
+        OutputError: ``work`` holds another study.
     """
-    watch = Stopwatch(progress)
-    if len(chain.scene.frequencies) > 1:
-        return _sweep(chain, watch)
-    if chain.scene.wear:
-        return _wear(chain, watch)
-    scene = chain.scene
+    watch, scene = Stopwatch(progress), chain.scene
+    if work is not None and can_resume(scene):
+        model = take_up_model(work, chain.reduction.model, chain.mesh.domain.comm)
+        chain = replace(chain, reduction=replace(chain.reduction, model=model))
+    if len(scene.frequencies) > 1:
+        return _sweep(chain, watch, work)
+    if scene.wear:
+        return _wear(chain, watch, work if can_resume(scene) else None)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
     if scene.solver.accuracy is not None and problem.frequency:
         return _solve_to_accuracy(chain, watch, problem)
@@ -124,7 +140,7 @@ def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
     return {"asked": found.accuracy, "reached": found.reached, "limit": found.limit, "estimate": estimate}
 
 
-def _sweep(chain: Chain, watch: Stopwatch) -> Study:
+def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     from ewr_fenicsx.frequency_sweep import frequency_response
 
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
@@ -132,13 +148,14 @@ def _sweep(chain: Chain, watch: Stopwatch) -> Study:
     idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
     kept = tuple(h for h in problem.basis.orders if h not in idle.orders)
     settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
-    with watch.stage("sweep"):
+    with watch.stage("sweep"), refuse_other_work(work):
         curve = frequency_response(
             model,
             lay_laws(scene, chain.interface),
             scene.frequencies,
             kept,
             watch.progress is not None,
+            folder=work,
             comm=comm,
             **settings,
         )
@@ -232,19 +249,21 @@ def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
     return lines
 
 
-def _wear(chain: Chain, watch: Stopwatch) -> Study:
+def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     from ewr_fenicsx.wear import Tolerance, evolve_wear
 
     scene, interface = chain.scene, chain.interface
     asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
     share = accuracy if asked.tolerance is None else asked.tolerance
-    with watch.stage("wear"):
+    file = None if work is None else work / f"wear_{chain.mesh.domain.comm.rank}.h5"  # every rank does all of it
+    with watch.stage("wear"), refuse_other_work(work):
         history = evolve_wear(
             pose_problem(scene, chain.reduction.model, interface),
             asked.cycles,
             spread_wear(scene, interface),
             None if share is None else Tolerance(share=share, damped=True),
             keep_every=max(1, asked.cycles // 100),
+            file=file,
             tolerance=scene.solver.tolerance,
             accuracy=accuracy,
             progress=watch.progress is not None,

@@ -24,7 +24,7 @@ ORDER = [
     "wear", "scene_errors",
     "scene_entries", "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials",
     "elasticity", "interface", "modes", "reduction", "chain", "contact_state", "gathering", "plots", "cost_plots",
-    "result_folder", "output", "wear_fields", "study", "cost_report", "cli", "__main__",
+    "result_folder", "output", "wear_fields", "work_folder", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

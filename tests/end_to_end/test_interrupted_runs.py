@@ -1,0 +1,148 @@
+"""Ctrl-C during ``ewr run``: the same command goes on from there, and its results are those of an unbroken run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ewr_fenicsx import frequency_sweep, wear
+from ewr_fenicsx.cli import main
+
+BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+SCENE = f"""
+[geometry]
+source = "{BLOCKS}"
+
+[loads.push]
+boundary = "tip"
+force = [0.0, -1000.0]
+
+[loads.shake]
+boundary = "tip"
+force = [150.0, 0.0]
+harmonic = 1
+
+[outputs.tip]
+boundary = "tip"
+direction = [1.0, 0.0]
+
+[contact]
+friction = 0.1
+
+[solver]
+harmonics = 1
+
+"""
+STUDIES = {  # what is asked, what is interrupted and counted, its calls unbroken, table
+    "wear": ("[excitation]\nfrequency = 1000.0\n[wear]\ncycles = 12\n", (wear, "solve_from"), 12, "wear.csv"),
+    "sweep": (
+        "[excitation]\nfrequency = { from = 2000, to = 3500, points = 16 }\n",
+        (frequency_sweep, "_solve_block"),
+        3,
+        "frequency_response.csv",
+    ),
+}
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return tmp_path / "scene.toml"
+
+
+@pytest.fixture
+def ewr(scene, tmp_path, capsys):
+    """Run the scene; returns the exit code and what was told on standard error."""
+
+    def run(*options: str, out: str = "broken") -> tuple[int, str]:
+        capsys.readouterr()
+        code = main(["run", str(scene), "--out", str(tmp_path / out), *options])
+        return code, capsys.readouterr().err
+
+    return run
+
+
+def interrupt(monkeypatch, place: tuple, after: int) -> list:
+    """Calls of a function, which is interrupted where there have been so many."""
+    module, name = place
+    calls, work = [], getattr(module, name)
+
+    def count(*given, **named):
+        if len(calls) == after:
+            raise KeyboardInterrupt
+        calls.append(name)
+        return work(*given, **named)
+
+    monkeypatch.setattr(module, name, count)
+    return calls
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
+    asked, place, unbroken, table = STUDIES[study]
+    scene.write_text(SCENE + asked)
+    done = unbroken // 2
+    with monkeypatch.context() as patch:
+        assert len(interrupt(patch, place, done)) == 0
+        code, told = ewr()
+    partial = tmp_path / "broken.partial"
+    assert code == 130 and not (tmp_path / "broken").exists()
+    assert f"ewr: interrupted; the work so far is in {partial}, and the same command goes on from there" in told
+    with monkeypatch.context() as patch:
+        calls = interrupt(patch, place, 1000)
+        code, told = ewr()
+    assert code == 0 and f"ewr: going on with the work in {partial}" in told
+    assert len(calls) == unbroken - done
+    assert {path.name for path in tmp_path.iterdir()} == {"broken", "scene.toml"}, "the work is removed"
+    with monkeypatch.context() as patch:
+        calls = interrupt(patch, place, 1000)
+        assert ewr(out="unbroken")[0] == 0
+    assert len(calls) == unbroken
+    assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
+    assert (one["solution"], one["files"], one[study]) == (two["solution"], two["files"], two[study])
+
+
+@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("change", [("friction = 0.1", "friction = 0.2"), ("-1000.0", "-1001.0")])
+def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, study, change):
+    """Whether the laws differ or the model; what to do about it is something that a user can do."""
+    asked, place, unbroken, _ = STUDIES[study]
+    scene.write_text(SCENE + asked)
+    with monkeypatch.context() as patch:
+        interrupt(patch, place, unbroken // 2)
+        assert ewr()[0] == 130
+    scene.write_text((SCENE + asked).replace(*change))
+    code, told = ewr()
+    partial = tmp_path / "broken.partial"
+    assert code == 2 and "Traceback" not in told
+    assert f"Remove the folder {partial} if you do not need it, or give another --out" in " ".join(told.split())
+    assert partial.is_dir() and not (tmp_path / "broken").exists()
+
+
+def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):
+    asked, place, _, _ = STUDIES["sweep"]
+    scene.write_text(SCENE + asked)
+    with monkeypatch.context() as patch:
+        interrupt(patch, place, 0)
+        code, told = ewr()
+    assert code == 130 and told.endswith("ewr: interrupted\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"scene.toml"}
+    sweep = frequency_sweep.frequency_response
+    vain = lambda *given, **named: replace(sweep(*given, **named), solutions=())  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(frequency_sweep, "frequency_response", vain)
+        code, told = ewr()
+    assert code == 3 and "no periodic solution at any of 16 frequencies" in told
+    assert {path.name for path in tmp_path.iterdir()} == {"scene.toml"}
+
+
+def test_a_folder_of_the_user_s_own_is_kept(ewr, scene, tmp_path):
+    scene.write_text(SCENE + STUDIES["wear"][0])
+    (tmp_path / "broken.partial").mkdir()
+    (tmp_path / "broken.partial" / "notes.txt").write_text("mine")
+    code, told = ewr()
+    assert code == 2 and "no run wrote it" in told
+    assert (tmp_path / "broken.partial" / "notes.txt").read_text() == "mine"
