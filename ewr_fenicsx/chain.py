@@ -24,7 +24,7 @@ from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.scene import ModalDamping, RayleighDamping, RotationLoad, Scene
 from ewr_fenicsx.scene_joint import Contact
-from ewr_fenicsx.scene_sense import can_wear, doubt_extent
+from ewr_fenicsx.scene_sense import can_wear, doubt_extent, doubt_modes
 
 Laws = ContactLaws | list[tuple[list[int], ContactLaws]]
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
@@ -71,7 +71,7 @@ def add_times(*times: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` about the mesh by sentence."""
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` on mesh and modes by sentence."""
 
     scene: Scene
     mesh: JointMesh
@@ -119,6 +119,8 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     check_flanks(scene, interface)
     with watch.stage("reduction"):
         reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
+    modes = reduction.fixed_interface_frequencies
+    doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
     return Chain(scene, mesh, structure, interface, reduction, watch.seconds, doubts)
 
 

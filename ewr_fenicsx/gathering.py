@@ -76,6 +76,16 @@ def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cel
     return None if everyone is None else Cells(*(np.concatenate(part) for part in zip(*everyone, strict=True)))
 
 
+def measure_thinnest_body(chain: Chain) -> float:
+    """Shortest side of the boxes around the bodies [m]; collective."""
+    cells = gather_cells(chain)
+    thinnest = None
+    if cells is not None:
+        corners = [cells.corners[cells.body == body].reshape(-1, 2) for body in np.unique(cells.body)]
+        thinnest = min(float(np.ptp(points, axis=0).min()) for points in corners)
+    return chain.mesh.domain.comm.bcast(thinnest)
+
+
 def gather_boundary(chain: Chain, name: str) -> RealArray | None:
     """Node positions ``(n, 2)`` of a named boundary on rank 0, None elsewhere; collective."""
     space = chain.structure.space

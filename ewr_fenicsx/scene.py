@@ -248,6 +248,7 @@ class Wear(Section):
         "-",
         "Largest error of a cycle jump as a share of the final depth; by default the accuracy, or every cycle.",
         gt=0,
+        lt=1,
     )
 
 

@@ -5,6 +5,7 @@ A contradiction is an error, a doubt a warning. Each says what the scene would m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 SOFTEST = 1e7  # Young's modulus [Pa]
 DENSITIES = (100.0, 25e3)  # [kg/m^3]
 THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of the mesh [m]
+SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 
 
 def find_contradictions(scene: Scene) -> Iterator[str]:
@@ -68,6 +70,20 @@ def doubt_extent(extent: float) -> Iterator[str]:
         yield f"geometry: the mesh is {extent:g} m long; lengths are in m: were mm meant?"
 
 
+def doubt_modes(scene: Scene, modes: int, highest: float) -> Iterator[str]:
+    """What is probably not meant by loads above the highest mode that is kept [Hz], one sentence each."""
+    if scene.solver.accuracy is not None or not (oscillating := oscillating_loads(scene)):
+        return
+    name = max(oscillating, key=lambda n: scene.loads[n].harmonic)
+    at = scene.loads[name].harmonic * max(scene.frequencies)
+    if at > highest:
+        yield (
+            f"excitation.frequency = {max(scene.frequencies):g}: the load {name} acts at {at:g} Hz, above the highest "
+            f"of {modes} modes kept ({highest:.0f} Hz), so that the response is not resolved; raise reduction.modes, "
+            f"or was rad/s meant ({max(scene.frequencies) / (2 * math.pi):.6g} Hz)?"
+        )
+
+
 def oscillating_loads(scene: Scene) -> list[str]:
     """Names of the loads that excite a vibration."""
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
@@ -104,6 +120,14 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
     for where, laws in laws_in_force(scene).items():
         if laws.initial_gap > WIDEST:
             yield f"{where}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"
+    wear = {f"flanks.{name}.wear": own.wear for name, own in scene.flanks.items()}
+    wear |= {"wear.coefficient": scene.wear and scene.wear.coefficient}
+    for where, coefficient in wear.items():
+        if coefficient is not None and coefficient > SOFTEST_SURFACE:
+            yield (
+                f"{where} = {coefficient:g} 1/Pa is far above that of any joint (1e-11 is usual); was "
+                f"{coefficient * 1e-6:g} (given in 1/MPa, which is mm^2/N) meant?"
+            )
 
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:

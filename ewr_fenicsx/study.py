@@ -15,6 +15,7 @@ import numpy as np
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.gathering import measure_thinnest_body
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.reduction import keep_more_modes
@@ -255,6 +256,7 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     scene, interface = chain.scene, chain.interface
     asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
     share = accuracy if asked.tolerance is None else asked.tolerance
+    through = measure_thinnest_body(chain)
     file = None if work is None else work / f"wear_{chain.mesh.domain.comm.rank}.h5"  # every rank does all of it
     with watch.stage("wear"), refuse_other_work(work):
         history = evolve_wear(
@@ -263,6 +265,7 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             spread_wear(scene, interface),
             None if share is None else Tolerance(share=share, damped=True),
             keep_every=max(1, asked.cycles // 100),
+            deepest=through,
             file=file,
             tolerance=scene.solver.tolerance,
             accuracy=accuracy,
@@ -303,6 +306,8 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         facts["accuracy"] = {"asked": accuracy, "reached": not short.size, "estimate": {"total": worst}}
         facts["accuracy"] |= {"short_after_cycles": short.tolist()}
     told += [f"  stopped {history.stopped}"] if history.stopped else []
+    if history.depth[-1].max() > through:
+        told.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
     first, last = history.solutions[0], history.solutions[-1]
     told += [f"  the first solve: {line}" for line in first.list_reservations()]
     facts["wear"] |= {"reservations_of_first_solve": first.list_reservations()}

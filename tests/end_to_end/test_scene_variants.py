@@ -374,3 +374,21 @@ def test_a_geometry_in_millimetres_is_told_of(tmp_path, capsys):
     assert main(["info", str(tmp_path / "scene.toml")]) == 0
     assert "ewr: warning: scene" in (told := capsys.readouterr().err)
     assert "geometry: the mesh is 90 m long; lengths are in m: were mm meant?" in told
+
+
+def test_a_frequency_above_the_modes_kept_is_told_of(tmp_path, capsys):
+    text = SCENE.format(source=BLOCKS).replace("1000.0\n\n[solver]", "200000.0\n\n[solver]")
+    (tmp_path / "scene.toml").write_text(text + "[reduction]\nmodes = 3\n")
+    assert main(["info", str(tmp_path / "scene.toml")]) == 0
+    assert "the load shake acts at 200000 Hz, above the highest of 3 modes kept" in capsys.readouterr().err
+
+
+def test_wear_through_a_body_is_no_result(tmp_path, capsys):
+    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 200\ncoefficient = 1e-3\ntolerance = 0.1\n"
+    (tmp_path / "scene.toml").write_text(text.replace("[50.0, 0.0]", "[150.0, 0.0]") + "[contact]\nfriction = 0.1\n")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    told = capsys.readouterr()
+    assert "wear.coefficient = 0.001 1/Pa is far above that of any joint" in told.err
+    assert "m deep, more than 0.03 m" in told.out and "NOT a result: a body is only 0.03 m thick; see wear.coefficient" in told.out
+    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    assert "more than 0.03 m" in summary["wear"]["stopped"] and summary["wear"]["cycles"] < 200

@@ -17,6 +17,7 @@ from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene import Scene, load_scene
 from ewr_fenicsx.scene_reference import write_schema
+from ewr_fenicsx.scene_sense import doubt_modes
 
 ROOT = Path(__file__).parents[2]
 PULL = "[loads.pull]\nboundary = 'tip'\nforce = [0, 20e3]\n"
@@ -218,6 +219,8 @@ def test_all_contradictions_come_at_once(read):
         (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
         (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
         (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
+        (SCENE + "[wear]\ncoefficient = 1e-5", r"wear.coefficient = 1e-05 1/Pa .* was 1e-11 \(given in 1/MPa"),
+        (SCENE + "[wear]\n[flanks.left]\nwear = 1e-3", "flanks.left.wear = 0.001 1/Pa is far above that of any joint"),
         (
             SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[solver]\nrho_normal = 1e9",
             'solver.rho_normal = 1e[+]09 does nothing: no flank has the law "unilateral"',
@@ -232,6 +235,22 @@ def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expect
     with pytest.warns(SceneWarning, match=expected):
         scene = read(text, warn=True)
     assert len(scene.doubts) == 1
+
+
+def test_loads_above_the_modes_kept_are_doubted(read):
+    """By the highest harmonic that is loaded; where an accuracy is asked for, modes are raised anyway."""
+    twice = SCENE.replace("harmonic = 1", "harmonic = 2")
+    (told,) = doubt_modes(read(twice), 3, 1900.0)
+    assert "excitation.frequency = 1000: the load shake acts at 2000 Hz, above the highest of 3 modes kept" in told
+    assert "raise reduction.modes, or was rad/s meant (159.155 Hz)?" in told
+    assert not list(doubt_modes(read(twice), 3, 2100.0)) and not list(doubt_modes(read(SCENE), 3, 1900.0))
+    assert not list(doubt_modes(read(HEAD + PULL), 3, 1.0)), "nothing oscillates"
+    assert not list(doubt_modes(read(twice + "[solver]\naccuracy = 0.01"), 3, 1900.0))
+
+
+def test_a_cycle_jump_may_not_be_all_wrong(read):
+    with pytest.raises(SceneError, match=r"wear\.tolerance = 1\.0: should be less than 1"):
+        read(SCENE + "[wear]\ntolerance = 1.0")
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("demos/*.toml")), ids=lambda path: path.stem)
