@@ -71,7 +71,7 @@ def add_times(*times: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` on mesh and modes by sentence."""
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh and modes, a line each."""
 
     scene: Scene
     mesh: JointMesh
