@@ -71,7 +71,7 @@ def add_times(*times: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh and modes, a line each."""
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh and modes."""
 
     scene: Scene
     mesh: JointMesh

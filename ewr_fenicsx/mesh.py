@@ -29,6 +29,7 @@ from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, nearest
 
 MODEL_NAME = "ewr_fenicsx"
+MOST_CELLS = 3e6  # in the box around a geometry; more take hours, and nobody means them
 
 # The corners next to each corner, turned so that an uninverted cell gives positive determinants, and the determinant
 # of unit edges in the ideal cell.
@@ -131,10 +132,36 @@ def _fill_model(source: Path, parameters: Mapping[str, object]) -> None:
         if not callable(build):
             raise MeshError(f"{source}: no function `build`; a geometry builder defines `def build(*, ...) -> None`")
         _check_parameters(source, build, parameters)
+        usual = inspect.signature(build).parameters.get("mesh_size")
+        size = parameters.get("mesh_size", usual.default if usual else None)
         try:
-            build(**parameters)
+            with _refuse_endless_meshes(source, size):
+                build(**parameters)
         except ValueError as error:
             raise MeshError(f"{source}: {error}") from error
+
+
+@contextmanager
+def _refuse_endless_meshes(source: Path, size: object) -> Iterator[None]:
+    """Compares a builder's ``mesh_size`` with the extent of what it drew, before gmsh begins: nothing stops it then."""
+    generate = gmsh.model.mesh.generate
+
+    def check_and_generate(*given: object, **named: object) -> None:
+        box = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+        width, height, _ = box[1] - box[0]
+        if isinstance(size, (int, float)) and width * height > MOST_CELLS * size**2:
+            raise MeshError(
+                f"{source}: {width:.4g} m x {height:.4g} m with mesh_size = {size:g} m would be up to "
+                f"{width * height / size**2:.1g} cells, more than {MOST_CELLS:.1g}; lengths are in m: were mm meant? "
+                "Else give a larger mesh_size"
+            )
+        generate(*given, **named)
+
+    gmsh.model.mesh.generate = staticmethod(check_and_generate)
+    try:
+        yield
+    finally:
+        gmsh.model.mesh.generate = staticmethod(generate)
 
 
 @contextmanager

@@ -178,6 +178,19 @@ def test_all_triangles_are_welcome(tmp_path):
     assert 0.5 < mesh.smallest_scaled_jacobian < 1.0
 
 
+def test_an_endless_mesh_is_refused_before_it_is_made(monkeypatch):
+    """Lengths in mm: both that decide on the cells are named. gmsh is as it was afterwards."""
+    generate, made = gmsh.model.mesh.generate, []
+    monkeypatch.setattr(gmsh.model.mesh, "generate", staticmethod(lambda *_: made.append(True)))
+    in_mm = {"width": 60, "lower_width": 80, "height": 40, "lower_height": 30}
+    with pytest.raises(MeshError, match=r"two_blocks\.py: 80 m x 70 m with mesh_size = 0\.005 m .*were mm meant\?"):
+        build(GEOMETRY / "two_blocks.py", **in_mm)
+    assert not made
+    monkeypatch.undo()
+    assert build(GEOMETRY / "two_blocks.py", mesh_size=20e-3).smallest_scaled_jacobian > 0
+    assert gmsh.model.mesh.generate is generate
+
+
 def test_mixed_cell_types_are_refused_before_dolfinx_crashes(tmp_path):
     path = tmp_path / "mixed.py"
     path.write_text(TRIANGLES.format(recombined=("b",)))
