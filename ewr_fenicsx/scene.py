@@ -33,6 +33,8 @@ from ewr_fenicsx.scene_errors import explain_mistakes, list_mistakes, name_scene
 from ewr_fenicsx.scene_joint import Contact, Flank
 from ewr_fenicsx.scene_sense import find_contradictions, find_doubts
 
+HIGHEST_HARMONIC, MOST_SAMPLES = 255, 65536  # beyond these a solve would take more memory than there is
+
 
 class Geometry(Section):
     """Where the mesh comes from."""
@@ -120,7 +122,9 @@ class ForceLoad(Section):
     kind: Literal["force"] = entry("force", "-", "Which kind of load this is.")
     boundary: str = entry(..., "-", "Boundary that carries the force.")
     force: Vector = entry(..., "N", "Resultant (x, y).")
-    harmonic: Integer = entry(0, "-", "0 is static, 1 follows the excitation frequency, 2 is twice that.", ge=0)
+    harmonic: Integer = entry(
+        0, "-", "0 is static, 1 follows the excitation frequency, 2 is twice that.", ge=0, le=HIGHEST_HARMONIC
+    )
     phase: Number = entry(0.0, "degree", "Phase at time zero.")
 
     @model_validator(mode="after")
@@ -230,8 +234,10 @@ class Excitation(Section):
     @classmethod
     def check_frequency(cls, frequency: Any) -> Any:
         if isinstance(frequency, tuple):
-            if len(frequency) < 2:
-                at = f"{frequency[0]:g}" if frequency else "..."
+            if not frequency:
+                raise PydanticCustomError("sweep", "a sweep over no point; give frequencies that rise, or a single one")
+            if len(frequency) == 1:
+                at = f"{frequency[0]:g}"
                 raise PydanticCustomError("sweep", "a sweep over one point; write frequency = {at}", {"at": at})
             if any(a >= b for a, b in pairwise(frequency)):
                 raise PydanticCustomError("sweep", "should be frequencies that rise")
@@ -266,7 +272,9 @@ class Solver(Section):
     harmonics: Integer | tuple[Integer, ...] = entry(
         5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics; contact that opens needs 0."
     )
-    samples: Integer | None = entry(None, "-", "Time samples a period; by default enough for the harmonics.", ge=3)
+    samples: Integer | None = entry(
+        None, "-", "Time samples a period; by default enough for the harmonics.", ge=3, le=MOST_SAMPLES
+    )
     rho_normal: Number | None = entry(
         None, "N/m", "Normal parameter of the equality form; by default from the compliance.", gt=0
     )
@@ -283,6 +291,11 @@ class Solver(Section):
                 raise PydanticCustomError("harmonics", "should not be negative")
         elif not harmonics or min(harmonics) < 0 or len(set(harmonics)) != len(harmonics):
             raise PydanticCustomError("harmonics", "should be distinct and not negative, e.g. [0, 1, 3]")
+        highest = harmonics if isinstance(harmonics, int) else max(harmonics)
+        if highest > HIGHEST_HARMONIC:
+            raise PydanticCustomError(
+                "harmonics", "should go up to {most} at most; 5 to 30 are usual", {"most": HIGHEST_HARMONIC}
+            )
         return harmonics
 
 

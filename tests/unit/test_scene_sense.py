@@ -137,6 +137,10 @@ def test_a_static_scene_needs_no_frequency(read):
             "excitation.frequency = [1000]: a sweep over one point; write frequency = 1000",
         ),
         (
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = []",
+            "excitation.frequency = []: a sweep over no point; give frequencies that rise, or a single one",
+        ),
+        (
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 900, points = 7 }",
             "a sweep over one point; write frequency = 900",
         ),
