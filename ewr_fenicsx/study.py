@@ -5,6 +5,7 @@ Sweeps, wear and what serves an accuracy are imported where a scene asks for the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -129,9 +130,19 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
 
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
-        found = solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
+        found = _word_limit(solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice))
     chain, facts = modes.chain_of(found.solution), {"accuracy": _list_accuracy(found)}
     return Study(chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None, facts)
+
+
+def _word_limit(found: AccurateSolution) -> AccurateSolution:
+    """The same, with what a scene can do about its limit in place of what a call can."""
+    if not found.limit:
+        return found
+    remedy = "ask for less, or give solver.harmonics in place of an accuracy"
+    if found.estimate.dominating == "modes":
+        remedy = f"ask for less, or raise reduction.modes above {found.levels[-1].modes}"
+    return replace(found, limit=f"{re.sub('; (allow|keep) more.*', '', found.limit)}; {remedy}")
 
 
 def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
@@ -162,6 +173,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         )
         if accuracy is not None and curve.solutions:
             chain, curve = _refine(chain, watch, curve)
+            curve = replace(curve, accurate=tuple(map(_word_limit, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import cost_report, solve
+from ewr_fenicsx import cost_report, solve, solve_to_accuracy
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import SceneError
@@ -46,6 +46,27 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+
+
+@pytest.mark.parametrize(
+    ("allowed", "asked", "told"),
+    [
+        ({"highest": 5}, 1e-4, "harmonic 5 is the highest allowed; ask for less, or give solver.harmonics in place of"),
+        ({"most_modes": 1}, 0.03, "modes of the reduced model leave an error of"),
+    ],
+)
+def test_what_keeps_a_scene_from_its_accuracy_is_told_in_words_of_a_scene(
+    tmp_path, capsys, monkeypatch, allowed, asked, told
+):
+    limited = lambda *given, **named: solve_to_accuracy(*given, **named | allowed)  # noqa: E731
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solve_to_accuracy", limited)
+    path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", f"accuracy = {asked}")
+    assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "NOT as accurate as asked: " in said and told in said and "allow more" not in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert told in summary["accuracy"]["limit"] and "ask for less, or" in summary["accuracy"]["limit"]
+    assert ("raise reduction.modes above 1" in said) == ("most_modes" in allowed)
 
 
 def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
