@@ -12,21 +12,26 @@ from pathlib import Path
 
 import dolfinx
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 from matplotlib.tri import Triangulation
+from scipy.spatial import cKDTree
 
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.contact_state import list_histories, sample_friction_limit
 from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
 from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution
 
 RealArray = np.ndarray
 SAMPLES = 1024
 DPI = 150
+WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
 LEAST = {
     "normal_force": 1e-6,
     "friction_force": 1e-6,
@@ -48,29 +53,27 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     if cells is None:
         return
     interface = chain.interface
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    whole, joint = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1, 1.9]})
+    figure, whole, joint = _lay_panels(cells, interface)
     for axes in (whole, joint):
         _fill_bodies(axes, cells, linewidth=0.25 if axes is whole else 0.5)
         axes.add_collection(LineCollection(1e3 * cells.outline(), colors=INK, linewidths=0.9))
         axes.set_aspect("equal")
         axes.set_xlabel("x [mm]")
         axes.set_ylabel("y [mm]")
-    whole.autoscale_view()
     for name in scene.supports.clamp:
         whole.plot(*(1e3 * edge[name].T), "^", color=INK, markersize=3, label=f"held: {name}")
-    _draw_loads(whole, scene, edge, cells.scale)
+    _draw_loads(whole, scene, edge, cells)
     for k, flank in enumerate(interface.flanks):
         mine = interface.flank_of_pair == k
         colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
         for axes, size in ((whole, 2), (joint, 6)):
             label = f"{flank}, {mine.sum()} pairs" if axes is joint else None
             axes.plot(*(1e3 * interface.position[mine].T), "o", color=colour, markersize=size, label=label, zorder=4)
-    low, high = 1e3 * interface.position.min(axis=0), 1e3 * interface.position.max(axis=0)
-    centre, half = (low + high) / 2, 0.62 * (high - low).max()
-    joint.set_xlim(centre[0] - half, centre[0] + half)
-    joint.set_ylim(centre[1] - 1.15 * half, centre[1] + 1.15 * half)
-    length = 0.18 * half
+    whole.autoscale_view()
+    middle, spare = np.mean(whole.get_ylim()), LOWEST * np.ptp(whole.get_xlim()) / 2
+    if spare > np.ptp(whole.get_ylim()) / 2:
+        whole.set_ylim(middle - spare, middle + spare)
+    length = 0.11 * 1e3 * np.ptp(interface.position, axis=0).max()
     joint.quiver(
         *(1e3 * interface.position.T),
         *(length * interface.normal.T),
@@ -85,12 +88,38 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     whole.indicate_inset_zoom(joint, edgecolor=INK, alpha=0.6)
     joint.set_title(f"joint: {len(interface.area)} pairs")
     whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {len(cells.body)} cells")
+    below = ScaledTranslation(0, -0.55, figure.dpi_scale_trans)  # of numbers and label, however low the panel is
     for axes in (whole, joint):
         axes.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.09), fontsize=8, frameon=False, ncols=1 if axes is whole else 2
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0.0),
+            bbox_transform=axes.transAxes + below,
+            fontsize=8,
+            facecolor="white",
+            edgecolor="none",
+            ncols=1 if axes is whole and whole.get_gridspec().ncols > 1 else 3,
         )
     figure.suptitle(scene.title or scene.geometry.source.stem)
     figure.savefig(path, dpi=DPI)
+
+
+def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]:
+    """Panels for all of the mesh and for the joint, enlarged: side by side, or one above the other where it is wide."""
+    low, high = 1e3 * interface.position.min(axis=0), 1e3 * interface.position.max(axis=0)
+    width, height = np.ptp(cells.corners.reshape(-1, 2), axis=0)
+    half = 0.62 * (high - low).max() * np.array([1.0, 1.15])
+    if width > WIDE * height:
+        half[1] = 0.62 * max((high - low)[1], 0.5 * (high - low)[0])
+        half[0] = max(0.62 * (high - low)[0], 1.6 * half[1])
+        heights = 2.2 + 9.5 * max(LOWEST, height / width), 1.2 + 9.5 * half[1] / half[0]
+        figure = Figure(figsize=(11, sum(heights)), layout="constrained")
+        whole, joint = figure.subplots(2, 1, gridspec_kw={"height_ratios": heights})
+    else:
+        figure = Figure(figsize=(11, 8), layout="constrained")
+        whole, joint = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1, 1.9]})
+    for set_limits, middle, side in zip((joint.set_xlim, joint.set_ylim), (low + high) / 2, half, strict=True):
+        set_limits(middle - side, middle + side)
+    return figure, whole, joint
 
 
 def draw_mode(path: Path, chain: Chain) -> None:
@@ -289,8 +318,9 @@ def _fill_bodies(axes, cells: Cells, linewidth: float) -> None:
         axes.add_collection(PolyCollection(polygons, facecolors=colour, edgecolors="#8a97a5", linewidths=linewidth))
 
 
-def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
-    length = 0.12 * 1e3 * scale
+def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cells) -> None:
+    """An arrow a force: from its boundary, or up to it where the force presses on the body."""
+    length = 0.12 * 1e3 * cells.scale
     for name, load in scene.loads.items():
         if load.kind != "force":
             axes.plot([], [], " ", label=f"{name}: {load.speed:g} rpm")
@@ -300,10 +330,12 @@ def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
         step = length * np.array(load.force) / size
         pulsating = load.harmonic > 0
         colour = FLANK_COLOURS[0] if pulsating else FLANK_COLOURS[1]
+        presses = not pulsating and np.dot(step, _point_inwards(edge[load.boundary], cells)) > 0.5 * length
+        tail, head = (start - step, start) if presses else (start - step if pulsating else start, start + step)
         axes.annotate(
             "",
-            start + step,
-            start - step if pulsating else start,
+            head,
+            tail,
             annotation_clip=False,
             arrowprops={
                 "arrowstyle": "<|-|>" if pulsating else "-|>",
@@ -313,11 +345,19 @@ def _draw_loads(axes, scene, edge: dict[str, RealArray], scale: float) -> None:
                 "shrinkB": 0,
             },
         )
-        axes.plot(*(start + 1.1 * step), alpha=0)  # makes room for the arrow
+        axes.plot(*np.transpose([tail, head + 0.1 * (head - tail)]), alpha=0)  # makes room for the arrow
         time = f" at {_say_frequency(scene, load.harmonic)} Hz" if pulsating else ", static"
         axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:g} N{time}")
 
 
-def _say_frequency(scene, harmonic: int) -> str:
+def _point_inwards(edge: RealArray, cells: Cells) -> RealArray:
+    """Unit vector ``(2,)`` from a boundary to the middle of the cells along it."""
+    near = cKDTree(edge).query(cells.corners.reshape(-1, 2))[0].reshape(cells.corners.shape[:2]) < 1e-6 * cells.scale
+    along = near.sum(axis=1) >= 2
+    inwards = cells.corners[along].mean(axis=(0, 1)) - edge.mean(axis=0)
+    return inwards / max(np.linalg.norm(inwards), 1e-300)
+
+
+def _say_frequency(scene: Scene, harmonic: int) -> str:
     ends = sorted({min(scene.frequencies), max(scene.frequencies)})
     return " to ".join(f"{harmonic * end:g}" for end in ends)

@@ -295,9 +295,10 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             return
         history.write_csv(folder / "wear.csv")
         depths = {
-            f"{flank} [µm]": 1e6 * history.depth[:, interface.flank_of_pair == k].mean(axis=1)
+            f"mean depth of {flank} [µm]": 1e6 * history.depth[:, interface.flank_of_pair == k].mean(axis=1)
             for k, flank in enumerate(interface.flanks)
         }
+        depths["deepest pair [µm]"] = 1e6 * history.depth.max(axis=1)
         draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
 
     told = [

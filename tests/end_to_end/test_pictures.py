@@ -1,0 +1,79 @@
+"""What pictures show: nothing over anything else, forces where they act, curves named for what they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ewr_fenicsx import load_scene, plots
+from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.plots import draw_mesh
+from ewr_fenicsx.study import run_study
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def drawn(monkeypatch, tmp_path):
+    """Draw the mesh of a demo; returns its two panels."""
+
+    def draw(name: str):
+        figures = []
+        monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+        draw_mesh(tmp_path / "mesh.png", build_chain(load_scene(ROOT / "demos" / f"{name}.toml")))
+        FigureCanvasAgg(figures[0]).draw()
+        return figures[0].axes
+
+    return draw
+
+
+@pytest.mark.parametrize("name", ["tapping_rod", "bolted_lap", "two_blocks", "dovetail"])
+def test_nothing_is_printed_over_anything_else(drawn, name):
+    """Legends, numbers and labels of both panels, however low or narrow they are."""
+    for axes in drawn(name):
+        renderer = axes.figure.canvas.get_renderer()
+        numbers = [[t.get_window_extent(renderer) for t in axis.get_ticklabels() if t.get_text()]
+                   for axis in (axes.xaxis, axes.yaxis)]  # fmt: skip
+        for along in numbers:
+            inside = [box for box in along if axes.bbox.padded(1).overlaps(box.padded(30))]
+            assert len(inside) > 1
+            assert not any(a.overlaps(b) for i, a in enumerate(inside) for b in inside[:i])
+        legend = axes.get_legend().get_window_extent(renderer)
+        assert not any(legend.overlaps(box) for along in numbers for box in along)
+        assert not legend.overlaps(axes.xaxis.label.get_window_extent(renderer))
+
+
+def list_arrows(axes) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Tail and head of each load [mm]."""
+    return [(np.array(text.xyann), np.array(text.xy)) for text in axes.texts if text.arrow_patch]
+
+
+def test_forces_that_press_end_on_the_body(drawn):
+    """The washers press the lap of two beams of 6 mm; a force that shakes goes both ways."""
+    (above, on_top), (below, on_bottom), (one, other) = list_arrows(drawn("bolted_lap")[0])
+    np.testing.assert_allclose([on_top, on_bottom], [[0, 6], [0, -6]], atol=1e-6)
+    assert above[0] == pytest.approx(0) and above[1] > 20
+    assert below[0] == pytest.approx(0) and below[1] < -20
+    np.testing.assert_allclose((one + other) / 2, [25, 3], atol=1e-6)
+
+
+def test_forces_that_pull_begin_on_the_body(drawn):
+    (tail, head), *_ = list_arrows(drawn("blade_root")[0])
+    assert head[1] > tail[1] + 10 and tail[1] > 270, "upwards from the tip"
+
+
+def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
+    text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
+    shown = {}
+    monkeypatch.setattr(plots, "draw_curves", lambda path, across, x, series: shown.update(series))
+    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    study.write(tmp_path)
+    assert list(shown) == ["mean depth of left [µm]", "mean depth of right [µm]", "deepest pair [µm]"]
+    depth = 1e6 * study.solution.problem.wear
+    assert shown["deepest pair [µm]"][-1] == pytest.approx(depth.max())
+    assert shown["mean depth of left [µm]"][-1] < shown["deepest pair [µm]"][-1]
