@@ -100,7 +100,7 @@ def draw_mesh(path: Path, chain: Chain) -> None:
             ncols=1 if axes is whole and whole.get_gridspec().ncols > 1 else 3,
         )
     figure.suptitle(scene.title or scene.geometry.source.stem)
-    figure.savefig(path, dpi=DPI)
+    figure.savefig(path, dpi=DPI, bbox_inches="tight", pad_inches=0.1)  # labels hang over the edge of narrow panels
 
 
 def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]:
