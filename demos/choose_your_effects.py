@@ -30,15 +30,19 @@ pairs, coefficients = model.pairs, everything.basis.coefficients
 rows = []
 
 
+def note(name, solution, seconds):
+    """Notes what a solution took, and what it is: how far the end moves, and what friction dissipates."""
+    amplitude, loss = abs(solution.output("end")[solution.orders.index(1)]), solution.merit["friction_dissipation"]
+    rows.append((name, solution.unknowns, solution.iterations, 1e3 * seconds, 1e3 * amplitude, loss))
+
+
 def step(name, problem):
     """Solves a problem and notes what it took."""
     solve(problem)  # once to warm up: the time below is that of the solve alone
     problem = replace(problem)
     begin = time.perf_counter()
     solution = solve(problem)
-    seconds = time.perf_counter() - begin
-    amplitude, loss = abs(solution.output("end")[solution.orders.index(1)]), solution.merit["friction_dissipation"]
-    rows.append((name, solution.unknowns, solution.iterations, 1e3 * seconds, 1e3 * amplitude, loss))
+    note(name, solution, time.perf_counter() - begin)
     return solution
 
 
@@ -124,7 +128,7 @@ begin = time.perf_counter()
 worn = evolve_wear(everything, cycles=20, coefficient=1e-11)
 last = worn.solutions[-1]
 name = f"and wear, {worn.solves} solves"
-rows.append((name, last.unknowns, last.iterations, 1e3 * (time.perf_counter() - begin), np.nan, np.nan))
+note(name, last, time.perf_counter() - begin)
 assert worn.depth[-1].max() > 0
 unworn = evolve_wear(replace(everything, wear=np.zeros(pairs)), cycles=2, coefficient=1e-30)
 np.testing.assert_allclose(unworn.solutions[-1].output("end"), both.output("end"), rtol=1e-7)
