@@ -10,12 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from numbers import Real
+from reprlib import repr as shorten
 
 import numpy as np
 
 from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import Layout, demand_rows, lay_out, row_of
@@ -25,6 +27,7 @@ from ewr_fenicsx.statics import find_holding
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
 DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
+HIGHEST_FREQUENCY = 1e100  # [Hz] powers of it must stay numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +63,24 @@ class ContactProblem:
     generalised_inverse: GeneralisedInverse = field(default="inertia relief", repr=False)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.model, ReducedModel):
+            raise ModelError(f"model = {shorten(self.model)}; give a ReducedModel, then laws, then the frequency")
+        self.groups  # noqa: B018  laws that do not fit the model come to light here
         if not isinstance(self.frequency, Real):
             raise ModelError(f"frequency = {self.frequency!r}; give a number of Hz, zero where nothing oscillates")
-        if not np.isfinite(self.frequency) or self.frequency < 0:
-            raise ModelError(f"frequency = {self.frequency} Hz; give a positive one, zero where nothing oscillates")
+        if not 0 <= self.frequency < HIGHEST_FREQUENCY:
+            raise ModelError(
+                f"frequency = {self.frequency} Hz; give a positive one below {HIGHEST_FREQUENCY:g} Hz, zero where "
+                "nothing oscillates"
+            )
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
-            if value is not None and not np.all(np.asarray(value, dtype=float) > 0):
-                raise ModelError(f"{name} = {value}; it must be positive")
-        if self.wear is not None and (
-            np.shape(self.wear) != (self.model.pairs,) or not np.all(np.asarray(self.wear) >= 0)
-        ):
-            raise ModelError(f"wear must be one depth >= 0 for each of the {self.model.pairs} pairs")
+            if value is not None and not np.all(((given := read_numbers(name, value)) > 0) & (given < np.inf)):
+                raise ModelError(f"{name} = {value}; it must be positive and finite, or None for the default")
+        if self.wear is not None:
+            depth = read_numbers("wear", self.wear)
+            if depth.shape != (self.model.pairs,) or not np.all((depth >= 0) & (depth < np.inf)):
+                raise ModelError(f"wear must be one finite depth >= 0 [m] for each of the {self.model.pairs} pairs")
         if self.load is not None:
             object.__setattr__(self, "load", check_loads(self.load, self.model.size))
         missing = [h for h, f in self.loads.items() if h not in self.basis.orders and np.any(f)]
@@ -106,18 +115,24 @@ class ContactProblem:
         """Pairs and their laws.
 
         Raises:
-            ModelError: The groups do not cover each pair once.
+            ModelError: Something else than laws, or the groups do not cover each pair once.
         """
         everything = np.arange(self.model.pairs)
         if isinstance(self.laws, ContactLaws):
             return ((everything, self.laws),)
-        groups = tuple((np.asarray(pairs, dtype=int).reshape(-1), laws) for pairs, laws in self.laws)
-        covered = np.sort(np.concatenate([pairs for pairs, _ in groups]))
+        for group in self.laws if isinstance(self.laws, Sequence) else [self.laws]:
+            if not (isinstance(group, Sequence) and len(group) == 2 and isinstance(group[1], ContactLaws)):
+                raise ModelError(
+                    f"laws has {shorten(group)}; give one ContactLaws for all pairs, or a list of (pairs, ContactLaws)"
+                )
+        groups = tuple((read_numbers("pairs of laws", pairs).reshape(-1), laws) for pairs, laws in self.laws)
+        covered = np.sort(np.concatenate([np.zeros(0), *(pairs for pairs, _ in groups)]))
         if not np.array_equal(covered, everything):
             raise ModelError(
-                f"laws must cover each of the {self.model.pairs} pairs once; they cover {covered.tolist()}"
+                f"laws must cover each of the {self.model.pairs} pairs once; they cover "
+                f"[{', '.join(f'{pair:g}' for pair in covered)}]"
             )
-        return groups
+        return tuple((pairs.astype(int), laws) for pairs, laws in groups)
 
     @cached_property
     def clearance(self) -> RealArray:
@@ -150,6 +165,16 @@ class ContactProblem:
     def system(self) -> ContactSystem:
         """The composed system, built on first use."""
         return compose(self)
+
+
+def check_problem(problem: ContactProblem) -> None:
+    """Refuses what is no problem, such as its model.
+
+    Raises:
+        ModelError: Something else than a ``ContactProblem``.
+    """
+    if not isinstance(problem, ContactProblem):
+        raise ModelError(f"problem = {shorten(problem)}; give ContactProblem(model, laws, frequency)")
 
 
 @dataclass(frozen=True, eq=False)

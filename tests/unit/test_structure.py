@@ -16,7 +16,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it. Names that do not exist yet are reserved places.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
+    "errors", "_compat", "given", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
     "prescribed", "coulomb", "contact_laws", "statics", "compliance", "layout", "contact_problem", "elimination",
     "balance", "stability", "walking", "indicators", "solution", "time_stepping", "periodicity", "time_integration",
     "symmetry", "continuation", "snes", "ladder", "newton", "estimates", "accuracy", "cost", "progress", "task_sharing",

@@ -1,0 +1,50 @@
+"""What a user gives, read once: numbers as arrays, counts and harmonics as whole numbers; or refused by name."""
+
+from __future__ import annotations
+
+from numbers import Real
+from reprlib import repr as shorten
+
+import numpy as np
+import scipy.sparse
+
+from ewr_fenicsx.errors import ModelError
+
+
+def read_numbers(name: str, value: object, kind: type = float, remedy: str = "give real numbers") -> np.ndarray:
+    """A copy of some numbers as an array of one type, in the shape that they have.
+
+    Args:
+        name: What they are called.
+        value: A number, a sequence, an array or a scipy sparse matrix.
+        kind: ``float`` or ``complex``.
+        remedy: What to do about complex numbers where ``kind`` is ``float``.
+
+    Raises:
+        ModelError: Something else than numbers, rows of unequal lengths, or complex numbers where real ones belong.
+    """
+    try:
+        array = np.array(value.toarray() if scipy.sparse.issparse(value) else value)
+    except ValueError:
+        raise ModelError(f"{name} = {shorten(value)} has rows of unequal lengths; make them equally long") from None
+    if array.dtype.kind not in "biufc":
+        raise ModelError(f"{name} = {shorten(value)}; give numbers")
+    if array.dtype.kind == "c" and kind is float:
+        raise ModelError(f"{name} = {shorten(value)} is complex; {remedy}")
+    return array.astype(kind)
+
+
+def is_whole(value: object, least: int = 0) -> bool:
+    """Whether something is a whole number, and not below ``least``."""
+    return isinstance(value, Real) and value >= least and float(value).is_integer()
+
+
+def read_harmonic(name: str, harmonic: object) -> int:
+    """The number of a harmonic, a key of what is given by harmonics.
+
+    Raises:
+        ModelError: Not a whole number from 0.
+    """
+    if not is_whole(harmonic):
+        raise ModelError(f"{name} has a harmonic {harmonic!r}; harmonics are whole numbers from 0")
+    return int(harmonic)
