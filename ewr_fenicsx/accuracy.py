@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 
-from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     ErrorEstimate,
@@ -133,8 +134,8 @@ def solve_to_accuracy(
         ModelError: The accuracy is not between 0 and 1.
         NotConverged: Not even the first solve found a solution.
     """
-    if not 0 < accuracy < 1:
-        raise ModelError(f"accuracy = {accuracy}; give a relative error between 0 and 1, such as 0.01")
+    check_accuracy(accuracy)
+    check_problem(problem)
     begin = time.perf_counter()
     loaded = [h for h, f in problem.loads.items() if np.any(f)]
     top, density, dropped = max([first, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
@@ -190,6 +191,16 @@ def solve_to_accuracy(
     return AccurateSolution(
         solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
     )
+
+
+def check_accuracy(accuracy: float) -> None:
+    """Refuses what is no accuracy.
+
+    Raises:
+        ModelError: Not a number between 0 and 1.
+    """
+    if not (isinstance(accuracy, Real) and 0 < accuracy < 1):
+        raise ModelError(f"accuracy = {accuracy!r}; give a relative error between 0 and 1, such as 0.01")
 
 
 def pose_level(problem: ContactProblem, top: int, density: float, dropped: frozenset[int]) -> ContactProblem:

@@ -12,17 +12,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from numbers import Real
 from pathlib import Path
 
 import h5py
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.accuracy import AccurateSolution
+from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
+from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
@@ -153,6 +155,15 @@ class FrequencyResponse:
         group.attrs["jumps"] = [jump.why for jump in self.jumps]
 
 
+def _read_frequencies(given: float | Sequence[float]) -> tuple[float, ...]:
+    frequencies = np.atleast_1d(read_numbers("frequencies", given))
+    if frequencies.ndim > 1 or not frequencies.size:
+        raise ModelError(f"frequencies have the shape {frequencies.shape}; give a list of at least one [Hz]")
+    if not np.isfinite(frequencies).all() or frequencies[0] <= 0 or np.any(np.diff(frequencies) <= 0):
+        raise ModelError(f"frequencies {frequencies[:5].tolist()} ...; give positive, finite ones that rise [Hz]")
+    return tuple(frequencies.tolist())
+
+
 @dataclass(frozen=True)
 class _Block:
     """A task: follow one curve from the first of some frequencies to the last."""
@@ -182,7 +193,8 @@ def frequency_response(
     Args:
         model: The structure, the same on every rank.
         laws: Laws at the pairs; or several by the value of a parameter, ``{mu: ContactLaws(friction=mu), ...}``.
-        frequencies: Rising [Hz]. The curve has a solution at each and, where it folds, those of the fold as well.
+        frequencies: Rising [Hz]; a single number is one. The curve has a solution at each and, where it folds, those
+            of the fold as well.
         harmonics: As in ``ContactProblem``.
         progress: Whether rank 0 shows how far it is and how long the rest will take.
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
@@ -200,17 +212,22 @@ def frequency_response(
         The curve; with several laws a dictionary of curves by the same keys.
 
     Raises:
-        ModelError: Frequencies do not rise, or the problem makes no sense.
+        ModelError: Frequencies do not rise, ``refine`` is not positive, or the problem makes no sense.
         OutputError: ``folder`` holds blocks of another run.
     """
-    targets = tuple(float(f) for f in frequencies)
-    if not targets or not all(a < b for a, b in pairwise(targets)) or targets[0] <= 0:
-        raise ModelError(f"frequencies {list(targets)[:5]} ...; give positive ones that rise")
+    targets = _read_frequencies(frequencies)
+    if refine is not None and not (isinstance(refine, Real) and 0 < refine < np.inf):
+        raise ModelError(f"refine = {refine!r}; give a positive change from point to point such as 0.1, or None")
+    if accuracy is not None:
+        check_accuracy(accuracy)
     family = dict(laws) if isinstance(laws, Mapping) else {None: laws}
+    if not family:
+        raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
 
     def make_follower(label: object) -> Follower:
         problem_at = lambda f: replace(common, laws=family[label], frequency=float(f))  # noqa: E731
+        problem_at(targets[0])  # so that laws that make no sense are told before any is solved
         return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
 
     followers = {label: make_follower(label) for label in family}

@@ -154,10 +154,37 @@ def test_fingerprints_tell_problems_apart():
     assert len({fingerprint(p) for p in [problem, *others]}) == 5
 
 
-@pytest.mark.parametrize("bad", [[], [2.0, 1.0], [1.0, 1.0], [0.0, 1.0]])
+@pytest.mark.parametrize(
+    "bad", [[], [2.0, 1.0], [1.0, 1.0], [0.0, 1.0], [np.nan], [1.0, np.inf], np.ones((2, 2)), "120", None, [[1.0], 2.0]]
+)
 def test_frequencies_must_rise(bad):
-    with pytest.raises(ModelError, match="frequencies"):
+    with pytest.raises(ModelError, match=r"frequencies.*; (give|make)"):
         sweep(frequencies=bad)
+
+
+def test_a_single_frequency_is_one():
+    assert sweep(0.2).frequencies.tolist() == [0.2]
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"refine": -1}, "refine = -1; give a positive change from point to point such as 0.1, or None"),
+        ({"refine": 0}, "refine = 0; give"),
+        ({"refine": np.nan}, "refine = nan; give"),
+        ({"refine": np.inf}, "refine = inf; give"),
+        ({"refine": "fine"}, "refine = 'fine'; give"),
+        ({"accuracy": 1.5}, "accuracy = 1.5; give a relative error between 0 and 1"),
+        ({"laws": {}}, "laws = {}; give ContactLaws, or a dictionary"),
+        ({"laws": [LAWS]}, r"laws has ContactLaws\(.*; give one ContactLaws for all pairs, or a list of \(pairs, Con"),
+        ({"laws": {"good": LAWS, "bad": 0.3}}, "laws has 0.3; give one ContactLaws"),
+        ({"laws": []}, r"laws must cover each of the 1 pairs once; they cover \[\]"),
+    ],
+)
+def test_what_makes_no_sweep_is_refused_before_any_solve(arguments, message, monkeypatch):
+    monkeypatch.setattr(frequency_sweep, "_solve_block", lambda *_: pytest.fail("solved"))
+    with pytest.raises(ModelError, match=message):
+        sweep(**arguments)
 
 
 def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
@@ -193,8 +220,6 @@ def test_points_that_are_not_as_accurate_as_asked_say_why():
     assert not any(found.reached for found in curve.accurate)
     assert all("harmonic 63 is the highest allowed" in found.limit for found in curve.accurate)
     assert (curve.table()["estimate"] > 1e-5).all()
-    with pytest.raises(ModelError, match="between 0 and 1"):
-        sweep(accuracy=1.5)
 
 
 def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch):
