@@ -27,7 +27,7 @@ from ewr_fenicsx.statics import find_holding
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
 DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
-HIGHEST_FREQUENCY = 1e100  # [Hz] powers of it must stay numbers
+LOWEST_FREQUENCY, HIGHEST_FREQUENCY = 1e-100, 1e100  # [Hz] powers of them must stay numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,10 @@ class ContactProblem:
         self.groups  # noqa: B018  laws that do not fit the model come to light here
         if not isinstance(self.frequency, Real):
             raise ModelError(f"frequency = {self.frequency!r}; give a number of Hz, zero where nothing oscillates")
-        if not 0 <= self.frequency < HIGHEST_FREQUENCY:
+        if not (self.frequency == 0 or LOWEST_FREQUENCY < self.frequency < HIGHEST_FREQUENCY):
             raise ModelError(
-                f"frequency = {self.frequency} Hz; give a positive one below {HIGHEST_FREQUENCY:g} Hz, zero where "
-                "nothing oscillates"
+                f"frequency = {self.frequency} Hz; give a positive one from {LOWEST_FREQUENCY:g} to "
+                f"{HIGHEST_FREQUENCY:g} Hz, zero where nothing oscillates"
             )
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
