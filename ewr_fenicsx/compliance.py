@@ -87,7 +87,10 @@ def condense(
             rows do not see.
     """
     if omega <= 0 and orders != (0,):
-        raise ModelError(f"angular frequency {omega:g} rad/s; a periodic motion needs a positive one")
+        raise ModelError(
+            f"frequency = {omega / 2 / np.pi:g} Hz, with harmonics {orders} and loads at harmonics {sorted(load)}; "
+            "give a positive frequency, or where nothing oscillates no load but that of harmonic 0"
+        )
     m, names = rows.shape[0], list(model.outputs)
     readers = np.vstack([rows, *(model.outputs[name] for name in names)])
     modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))

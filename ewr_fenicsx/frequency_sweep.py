@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from numbers import Real
 from pathlib import Path
 
 import h5py
@@ -24,7 +23,7 @@ from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
-from ewr_fenicsx.given import read_numbers
+from ewr_fenicsx.given import is_positive, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
@@ -216,7 +215,7 @@ def frequency_response(
         OutputError: ``folder`` holds blocks of another run.
     """
     targets = _read_frequencies(frequencies)
-    if refine is not None and not (isinstance(refine, Real) and 0 < refine < np.inf):
+    if refine is not None and not is_positive(refine):
         raise ModelError(f"refine = {refine!r}; give a positive change from point to point such as 0.1, or None")
     if accuracy is not None:
         check_accuracy(accuracy)

@@ -31,12 +31,17 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
         raise ModelError(f"{name} = {shorten(value)}; give numbers")
     if array.dtype.kind == "c" and kind is float:
         raise ModelError(f"{name} = {shorten(value)} is complex; {remedy}")
-    return array.astype(kind)
+    return array.astype(kind, copy=False)
 
 
 def is_whole(value: object, least: int = 0) -> bool:
     """Whether something is a whole number, and not below ``least``."""
     return isinstance(value, Real) and value >= least and float(value).is_integer()
+
+
+def is_positive(value: object) -> bool:
+    """Whether something is a positive, finite number."""
+    return isinstance(value, Real) and 0 < value < np.inf
 
 
 def read_harmonic(name: str, harmonic: object) -> int:

@@ -16,20 +16,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from reprlib import repr as shorten
 from urllib.parse import unquote
 
 import h5py
 import numpy as np
 import scipy.linalg
-import scipy.sparse
 
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import read_harmonic, read_numbers
 
 RealArray = np.ndarray
 ComplexArray = np.ndarray
 
 _FORMAT = "ewr_fenicsx reduced model, 1"
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass or damping accepted
+_REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -68,6 +70,8 @@ class ReducedModel:
         n = self.stiffness.shape[0]
         if self.stiffness.shape[1] != n:
             raise ModelError(f"stiffness has shape {self.stiffness.shape}; it must be square")
+        if n == 0:
+            raise ModelError("stiffness is empty; give a model with at least one coordinate")
         freeze("mass", _matrix("mass", self.mass, (n, n)))
         freeze("damping", _matrix("damping", self.damping, (n, n)))
         for name in ("mass", "stiffness"):
@@ -89,16 +93,22 @@ class ReducedModel:
                 raise ModelError(
                     f"tangential has {rows} rows for {pairs} pairs; give {pairs} (2-D) or {2 * pairs} (3-D, pair-major)"
                 )
+        if pairs == 0:
+            raise ModelError(
+                "the contact rows, normal and tangential, are empty; give a row for each pair, at least one"
+            )
         freeze("pair_area", np.ones(pairs) if self.pair_area is None else _vector("pair_area", self.pair_area, pairs))
         if not np.all(self.pair_area > 0):
             k = int(np.argmin(self.pair_area))
             raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
         freeze("load", check_loads(self.load, n))
-        freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in self.outputs.items()})
+        outputs = _mapping("outputs", self.outputs, '{"tip": row}')
+        freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()})
         if self.rigid_modes is None:
             freeze("rigid_modes", find_rigid_modes(self.stiffness))
         else:
-            freeze("rigid_modes", _matrix("rigid_modes", np.asarray(self.rigid_modes, float).reshape(n, -1), (n, None)))
+            modes = read_numbers("rigid_modes", self.rigid_modes)
+            freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
             _check_rigid_modes(self.stiffness, self.rigid_modes)
 
         if self.rigid_modes.shape[1] and not self.mass.any():
@@ -185,9 +195,11 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
     """Loads as read-only complex vectors: harmonic -> ``(size,)`` amplitudes [N].
 
     Raises:
-        ModelError: A harmonic, a number of entries or a value that makes no sense; the mean load is not real.
+        ModelError: No dictionary; a harmonic, a number of entries or a value that makes no sense; the mean load is not
+            real.
     """
-    return {_harmonic(h): _load(h, f, size) for h, f in load.items()}
+    given = _mapping("load", load, "{1: amplitudes}")
+    return {read_harmonic("load", h): _load(h, f, size) for h, f in given.items()}
 
 
 def find_rigid_modes(stiffness: RealArray) -> RealArray:
@@ -219,10 +231,18 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
 
     Returns:
         The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
+
+    Raises:
+        ModelError: Nothing is left to move.
     """
     if rows.shape[0] == 0:
         return model, np.eye(model.size)
     basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
+    if basis.shape[1] == 0:
+        raise ModelError(
+            f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
+            "directions, or give a model with more coordinates"
+        )
     project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     held = replace(
@@ -247,8 +267,7 @@ def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
 
 
 def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None)) -> RealArray:
-    dense = value.toarray() if scipy.sparse.issparse(value) else value
-    matrix = np.array(dense, dtype=float, ndmin=2)
+    matrix = np.atleast_2d(read_numbers(name, value, remedy=_REMEDY))
     expected = tuple("any" if s is None else s for s in shape)
     if matrix.ndim != 2 or any(s is not None and s != got for s, got in zip(shape, matrix.shape, strict=True)):
         raise ModelError(f"{name} has shape {matrix.shape}; expected ({expected[0]}, {expected[1]})")
@@ -259,7 +278,7 @@ def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None
 
 
 def _vector(name: str, value, size: int, dtype=float) -> np.ndarray:
-    vector = np.array(value, dtype=dtype).reshape(-1)
+    vector = read_numbers(name, value, dtype).reshape(-1)
     if vector.shape != (size,):
         raise ModelError(f"{name} has {vector.size} entries; expected {size}")
     if not np.isfinite(vector).all():
@@ -268,10 +287,10 @@ def _vector(name: str, value, size: int, dtype=float) -> np.ndarray:
     return vector
 
 
-def _harmonic(h) -> int:
-    if int(h) != h or h < 0:
-        raise ModelError(f"load has a harmonic {h!r}; harmonics are whole numbers from 0")
-    return int(h)
+def _mapping(name: str, value: object, example: str) -> Mapping:
+    if not isinstance(value, Mapping):
+        raise ModelError(f"{name} = {shorten(value)}; give a dictionary such as {example}")
+    return value
 
 
 def _load(h, amplitude, size: int) -> ComplexArray:

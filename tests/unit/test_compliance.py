@@ -185,6 +185,8 @@ def test_a_vibration_without_mean_needs_no_equilibrium():
 
 def test_a_periodic_motion_needs_a_frequency():
     model = random_structure()
-    with pytest.raises(ModelError, match="angular frequency 0 rad/s; a periodic motion needs a positive one"):
-        condense(model, model.normal, {}, 0.0, (0, 1))
+    with pytest.raises(
+        ModelError, match=r"frequency = 0 Hz, with harmonics \(0, 1\) and loads at harmonics \[1\]; give a pos"
+    ):
+        condense(model, model.normal, {1: np.ones(model.size)}, 0.0, (0, 1))
     assert condense(model, model.normal, {}, 0.0, (0,)).flexibility.shape == (1, 3, 3)

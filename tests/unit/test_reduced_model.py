@@ -37,6 +37,14 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"damping": [[1.0, 3.0], [0.0, 1.0]]}, "damping is not positive semidefinite: scaled eigenvalue -0.5"),
         ({"damping": [[0.0, 1e-3], [1e-3, 0.0]]}, "damping is not positive semidefinite"),
         ({"mass": np.zeros((2, 2)), "stiffness": np.diag([1.0, 0.0])}, "mass is zero .* leaves 1 rigid motions free"),
+        ({"stiffness": np.eye(2) * (1 + 0.01j)}, "stiffness = .* is complex; give real .* structural damping belongs"),
+        ({"mass": [[1.0, 1j], [1j, 1.0]]}, "mass = .* is complex"),
+        ({"mass": "a"}, "mass = 'a'; give numbers"),
+        ({"mass": None}, "mass = None; give numbers"),
+        ({"mass": [[1.0, 0.0], [0.0]]}, "mass = .* has rows of unequal lengths"),
+        ({"stiffness": np.zeros((0, 0))}, "stiffness is empty; give a model with at least one coordinate"),
+        ({"normal": np.zeros((0, 2))}, "contact rows, normal and tangential, are empty; give a row for each pair"),
+        ({"normal": None, "tangential": np.zeros((0, 2))}, "are empty; give a row for each pair, at least one"),
         ({"normal": None}, "give normal, tangential or both"),
         ({"normal": [[1.0, 0.0, 0.0]]}, r"normal has shape \(1, 3\); expected \(any, 2\)"),
         (
@@ -47,6 +55,13 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"pair_area": [-2.0]}, r"pair_area\[0\] = -2 m\^2; every tributary area must be positive"),
         ({"pair_area": [0.0]}, r"pair_area\[0\] = 0 m\^2"),
         ({"load": {0: [1j, 0.0]}}, r"load\[0\] is the mean load and must be real"),
+        ({"load": [100.0, 0.0]}, r"load = \[100.0, 0.0\]; give a dictionary such as {1: amplitudes}"),
+        ({"load": {"first": [1.0, 0.0]}}, "harmonic 'first'; harmonics are whole numbers from 0"),
+        ({"load": {np.inf: [1.0, 0.0]}}, "harmonic inf; harmonics are whole numbers from 0"),
+        ({"load": {1: ["big", 0.0]}}, r"load\[1\] = \['big', 0.0\]; give numbers"),
+        ({"outputs": [1.0, 0.0]}, r"outputs = \[1.0, 0.0\]; give a dictionary such as {\"tip\": row}"),
+        ({"pair_area": "wide"}, "pair_area = 'wide'; give numbers"),
+        ({"rigid_modes": [1.0, 0.0, 0.0]}, r"rigid_modes has shape \(3, 1\); expected \(2, any\)"),
         ({"load": {1: [1.0]}}, r"load\[1\] has 1 entries; expected 2"),
         ({"load": {-1: [1.0, 0.0]}}, "harmonic -1; harmonics are whole numbers from 0"),
         ({"load": {0.5: [1.0, 0.0]}}, "harmonic 0.5; harmonics are whole numbers from 0"),
@@ -210,6 +225,14 @@ def test_redundant_bonds_do_no_harm():
     assert once.size == twice.size == 20
     eigenvalues = [scipy.linalg.eigvalsh(m.stiffness, m.mass) for m in (once, twice)]
     np.testing.assert_allclose(*eigenvalues, rtol=1e-9, atol=1e-9 * eigenvalues[0].max())
+
+
+def test_holding_all_motions_is_refused():
+    model = ReducedModel(**PLAIN | {"tangential": [[0.0, 1.0]]})
+    with pytest.raises(
+        ModelError, match="bonds hold all 2 coordinates of the model, and nothing is left to move; bond"
+    ):
+        hold(model, np.eye(2))
 
 
 def test_holding_nothing_returns_the_model_itself():
