@@ -15,6 +15,7 @@ import numpy as np
 from ewr_fenicsx.bonded import Bond
 from ewr_fenicsx.coulomb import Coulomb, project_on_cone
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.law_kinds import (
     ComplexArray,
     Law,
@@ -79,7 +80,7 @@ class ContactLaws:
             hint = nearest(self.static_friction, known)
             raise ModelError(f'static_friction = "{self.static_friction}"; choose one of "resolved", "zero"{hint}')
         for name in ("friction", "initial_gap"):
-            value = np.asarray(getattr(self, name), dtype=float)
+            value = read_numbers(name, getattr(self, name))
             if not np.all(value >= 0) or not np.all(np.isfinite(value)):
                 raise ModelError(f"{name} = {getattr(self, name)}; it must be finite and not negative")
         if (find_kind("normal", self.normal) is Prescribed) != (self.normal_force is not None):

@@ -75,12 +75,16 @@ class ContactProblem:
             )
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
-            if value is not None and not np.all(((given := read_numbers(name, value)) > 0) & (given < np.inf)):
+            if value is None:
+                continue
+            given = spread_over_pairs(value, np.arange(self.model.pairs), self.model.pairs, name)
+            if not np.all((given > 0) & (given < np.inf)):
                 raise ModelError(f"{name} = {value}; it must be positive and finite, or None for the default")
         if self.wear is not None:
             depth = read_numbers("wear", self.wear)
             if depth.shape != (self.model.pairs,) or not np.all((depth >= 0) & (depth < np.inf)):
                 raise ModelError(f"wear must be one finite depth >= 0 [m] for each of the {self.model.pairs} pairs")
+        self.friction, self.clearance, self.given_force  # noqa: B018  as many values as pairs
         if self.load is not None:
             object.__setattr__(self, "load", check_loads(self.load, self.model.size))
         missing = [h for h, f in self.loads.items() if h not in self.basis.orders and np.any(f)]
@@ -140,7 +144,7 @@ class ContactProblem:
         gap = np.zeros(self.model.pairs)
         for pairs, laws in self.groups:
             if laws.kinds[0].opens:
-                gap[pairs] = spread_over_pairs(laws.kinds[0].initial_gap, pairs, gap.size)
+                gap[pairs] = spread_over_pairs(laws.kinds[0].initial_gap, pairs, gap.size, "initial_gap")
                 if self.wear is not None:
                     gap[pairs] += np.asarray(self.wear)[pairs]
         return gap
@@ -158,8 +162,20 @@ class ContactProblem:
         """``(K_c,)`` coefficient of friction of each pair, zero where it has none."""
         friction = np.zeros(self.model.pairs)
         for pairs, laws in self.groups:
-            friction[pairs] = spread_over_pairs(laws.kinds[1].friction, pairs, friction.size)
+            friction[pairs] = spread_over_pairs(laws.kinds[1].friction, pairs, friction.size, "friction")
         return friction
+
+    @cached_property
+    def given_force(self) -> Mapping[int, ComplexArray]:
+        """Harmonic -> ``(K_c,)`` amplitudes of the normal forces that are given, zero at other pairs [N]."""
+        given: dict[int, ComplexArray] = {}
+        for pairs, laws in self.groups:
+            spread = lambda value, p=pairs: spread_over_pairs(  # noqa: E731
+                value, p, self.model.pairs, "normal_force", complex
+            )
+            for h, amplitude in laws.kinds[0].give_force(spread).items():
+                given.setdefault(h, np.zeros(self.model.pairs, dtype=complex))[pairs] = amplitude
+        return given
 
     @cached_property
     def system(self) -> ContactSystem:
@@ -246,16 +262,13 @@ def compose(problem: ContactProblem) -> ContactSystem:
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    load, prescribed = dict(problem.loads), {}
-    for pairs, laws in problem.groups:
-        for h, amplitude in laws.kinds[0].give_force(pairs.size).items():
-            if not np.any(amplitude):
-                continue  # symmetry may have left that harmonic out
-            prescribed.setdefault(h, np.zeros(model.pairs, dtype=complex))[pairs] = amplitude
-            if model.normal is not None:
-                if h not in basis.orders:
-                    raise ModelError(f"the prescribed normal force has a harmonic {h}; add it to harmonics")
-                load[h] = load.get(h, 0) + model.normal[pairs].T @ amplitude
+    load = dict(problem.loads)
+    for h, amplitude in problem.given_force.items() if model.normal is not None else ():
+        if not np.any(amplitude):
+            continue  # symmetry may have left that harmonic out
+        if h not in basis.orders:
+            raise ModelError(f"the prescribed normal force has a harmonic {h}; add it to harmonics")
+        load[h] = load.get(h, 0) + model.normal.T @ amplitude
     load = {h: layout.expansion.T @ f for h, f in load.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
@@ -263,7 +276,7 @@ def compose(problem: ContactProblem) -> ContactSystem:
     return ContactSystem(
         layout=layout,
         load=load,
-        prescribed=prescribed,
+        prescribed=problem.given_force,
         laws=tuple(
             law
             for pairs, laws in problem.groups

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.fft
 
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import is_whole
 
 RealArray = np.ndarray
 ComplexArray = np.ndarray
@@ -145,7 +146,7 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
         raise ModelError(f"harmonics = {harmonics!r}; give the highest harmonic, a whole number, or a list of them")
     else:
         orders = tuple(sorted(harmonics))
-    if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or any(int(h) != h for h in orders):
+    if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or not all(is_whole(h) for h in orders):
         raise ModelError(f"harmonics = {harmonics!r}; give distinct whole numbers from 0")
     if samples is None:
         samples = max(128, 1 << (32 * int(orders[-1]) - 1).bit_length()) if orders[-1] else 1

@@ -19,6 +19,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import read_numbers
 
 RealArray = np.ndarray
 ComplexArray = np.ndarray
@@ -185,8 +186,8 @@ class LawKind(Protocol):
         """Directions without motion: projected out of the model, unless the other kind needs their force."""
         return ()
 
-    def give_force(self, count: int) -> Mapping[int, ComplexArray]:
-        """Harmonic -> ``(count,)`` amplitudes of a normal force that is given, not sought [N]."""
+    def give_force(self, spread: Callable[[float | ComplexArray], ComplexArray]) -> Mapping[int, ComplexArray]:
+        """Harmonic -> ``(K,)`` amplitudes of a normal force that is given, not sought [N]; ``spread`` makes them so."""
         return {}
 
     def bound_mean(self, spread: Callable[[float | RealArray], RealArray]) -> MeanBound:
@@ -259,20 +260,23 @@ def find_kind(side: Side, name: str) -> type:
     return _KINDS[side, name]
 
 
-def spread_over_pairs(value, pairs: np.ndarray, total: int) -> RealArray:
+def spread_over_pairs(value, pairs: np.ndarray, total: int, name: str = "", kind: type = float) -> np.ndarray:
     """A scalar, a value for each pair of the model, or one for each pair of the group, as ``(K,)``.
+
+    ``name`` is what it is called where it is refused; ``kind`` is ``float`` or ``complex``.
 
     Raises:
         ModelError: None of these.
     """
-    array = np.asarray(value, dtype=float)
+    array = read_numbers(name or "a parameter", value, kind)
     if array.ndim == 0:
-        return np.full(pairs.size, float(array))
+        return np.full(pairs.size, array)
     if array.shape == (pairs.size,):
         return array
     if array.shape == (total,):
         return array[pairs]
-    raise ModelError(f"{array.size} values for {pairs.size} pairs; give one, or one a pair")
+    said = f"{name} has " if name else ""
+    raise ModelError(f"{said}{array.size} values for {pairs.size} pairs; give one, or one a pair")
 
 
 def _quote(name: str) -> str:

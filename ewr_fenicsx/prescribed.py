@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import read_harmonic, read_numbers
 from ewr_fenicsx.law_kinds import ComplexArray, LawKind, MeanBound, RealArray, register_law
 
 
@@ -20,7 +21,7 @@ class Prescribed(LawKind):
         normal_force: [N], scalar or ``(K,)``, or harmonic -> such amplitudes (complex). Presses where positive.
 
     Raises:
-        ModelError: The mean force pulls the bodies apart, is complex or not finite.
+        ModelError: Not numbers by harmonics, not finite; or the mean force pulls the bodies apart or is complex.
     """
 
     normal_force: float | RealArray | Mapping[int, float | ComplexArray] = 0.0
@@ -29,20 +30,27 @@ class Prescribed(LawKind):
     odd = blind_to_mean = True
 
     def __post_init__(self) -> None:
+        for h, amplitude in self._by_harmonic.items():
+            read_harmonic("normal_force", h)
+            if not np.all(np.isfinite(read_numbers(f"normal_force[{h}]", amplitude, complex))):
+                raise ModelError(f"normal_force has the amplitude {amplitude} at harmonic {h}; it must be finite")
         mean = np.asarray(self._mean)
-        if np.any(np.imag(mean) != 0) or not np.all(np.isfinite(mean)) or np.any(np.real(mean) < 0):
+        if np.any(np.imag(mean) != 0) or np.any(np.real(mean) < 0):
             raise ModelError(
                 f"normal_force has the mean {self._mean}; it must be real, finite and not negative: positive presses "
                 "the bodies together"
             )
 
     @property
-    def _mean(self) -> float | RealArray:
-        return self.normal_force.get(0, 0.0) if isinstance(self.normal_force, Mapping) else self.normal_force
+    def _by_harmonic(self) -> Mapping[int, float | ComplexArray]:
+        return self.normal_force if isinstance(self.normal_force, Mapping) else {0: self.normal_force}
 
-    def give_force(self, count: int) -> Mapping[int, ComplexArray]:
-        given = self.normal_force if isinstance(self.normal_force, Mapping) else {0: self.normal_force}
-        return {int(h): np.broadcast_to(np.asarray(a), (count,)) for h, a in given.items()}
+    @property
+    def _mean(self) -> float | RealArray:
+        return self._by_harmonic.get(0, 0.0)
+
+    def give_force(self, spread) -> Mapping[int, ComplexArray]:
+        return {int(h): spread(amplitude) for h, amplitude in self._by_harmonic.items()}
 
     def bound_mean(self, spread) -> MeanBound:
         given = spread(np.real(self._mean))

@@ -46,7 +46,7 @@ def find_idle_harmonics(problem: ContactProblem) -> IdleHarmonics:
     demands = [demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups]
     if not any(demand.active for demand in demands):
         return _NONE  # a linear problem has no unknowns to save
-    given = {h for pairs, laws in problem.groups for h, f in laws.kinds[0].give_force(pairs.size).items() if np.any(f)}
+    given = {h for h, force in problem.given_force.items() if np.any(force)}
     loaded = {h for h, f in problem.loads.items() if np.any(f)}
     if not any(h for h in loaded | given):
         return IdleHarmonics(orders[1:], "nothing oscillates: a static solve")

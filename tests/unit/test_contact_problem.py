@@ -128,6 +128,17 @@ def test_prescribed_forces_load_the_structure_where_it_has_normal_rows():
     assert 0 not in model.load and np.all(model.load[1] == np.arange(9.0))
 
 
+def test_a_group_takes_the_forces_of_its_pairs_from_those_of_all():
+    """As it does with friction and gaps."""
+    model = random_structure(pairs=3)
+    force = {0: [5.0, 6.0, 7.0], 1: [1j, 2.0, 3.0]}
+    free = ContactLaws("prescribed", "frictionless", normal_force=0.0)
+    groups = [([2, 0], ContactLaws("prescribed", normal_force=force)), ([1], free)]
+    given = ContactProblem(model, groups, 0.1, 2).system.prescribed
+    np.testing.assert_array_equal(given[0], [5.0, 0.0, 7.0])
+    np.testing.assert_array_equal(given[1], [1j, 0.0, 3.0])
+
+
 @pytest.mark.parametrize(
     "value, expected", [(2.0, [2.0, 2.0]), ([3.0, 4.0], [3.0, 4.0]), ([1, 2, 3, 4, 5], [5.0, 2.0])]
 )
@@ -153,6 +164,13 @@ def test_other_counts_of_values_are_refused():
         ({"normal_force": 1.0}, "give both or neither"),
         ({"normal": "prescribed", "normal_force": -50.0}, "normal_force has the mean -50.0; it must be real, finite"),
         ({"normal": "prescribed", "normal_force": {0: [1.0, -2.0], 1: 5.0}}, r"mean \[1.0, -2.0\]; .* not negative"),
+        ({"friction": 0.3 + 0j}, r"friction = \(0.3\+0j\) is complex; give real numbers"),
+        ({"friction": "0.3"}, "friction = '0.3'; give numbers"),
+        ({"friction": None}, "friction = None; give numbers"),
+        ({"initial_gap": [[0.0], 1.0]}, "initial_gap = .* has rows of unequal lengths"),
+        ({"normal": "prescribed", "normal_force": "5 N"}, r"normal_force\[0\] = '5 N'; give numbers"),
+        ({"normal": "prescribed", "normal_force": {0.5: 1.0}}, "normal_force has a harmonic 0.5; harmonics are whole"),
+        ({"normal": "prescribed", "normal_force": {1: np.inf}}, "amplitude inf at harmonic 1; it must be finite"),
         ({"normal": "prescribed", "normal_force": {0: 1j}}, "normal_force has the mean 1j; it must be real"),
     ],
 )
@@ -169,7 +187,8 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
         ({"frequency": "140"}, "frequency = '140'; give a number of Hz"),
         ({"frequency": None}, "frequency = None; give a number of Hz"),
         ({"rho_normal": 0.0}, "rho_normal = 0.0; it must be positive"),
-        ({"rho_tangential": [1.0, -1.0]}, "rho_tangential = .* must be positive"),
+        ({"rho_tangential": [-1.0]}, "rho_tangential = .* must be positive"),
+        ({"rho_tangential": [1.0, 1.0]}, "rho_tangential has 2 values for 1 pairs; give one, or one a pair"),
         ({"rho_tangential": np.inf}, "rho_tangential = inf; it must be positive and finite, or None"),
         ({"rho_normal": [np.inf]}, r"rho_normal = \[inf\]; it must be positive and finite"),
         ({"rho_normal": "stiff"}, "rho_normal = 'stiff'; give numbers"),
@@ -211,7 +230,10 @@ def test_problems_that_make_no_sense_are_refused(changes, message):
             ContactLaws("prescribed", normal_force={0: 1.0, 9: 1.0}),
             "has a harmonic 9; add it to harmonics",
         ),
-        (random_structure(), ContactLaws(friction=[0.1, 0.2]), "2 values for 3 pairs"),
+        (random_structure(), ContactLaws(friction=[0.1, 0.2]), "friction has 2 values for 3 pairs; give one, or one a"),
+        (random_structure(), ContactLaws(initial_gap=[0.1, 0.2]), "initial_gap has 2 values for 3 pairs"),
+        (random_structure(), ContactLaws("prescribed", normal_force=[1, 2]), "normal_force has 2 values for 3 pairs"),
+        (random_structure(), ContactLaws("prescribed", normal_force={0: 9, 1: [1j, 2]}), "normal_force has 2 values"),
         (random_structure(), [([0, 1], ContactLaws())], r"cover each of the 3 pairs once; they cover \[0, 1\]"),
         (random_structure(), [([0, 1, 2, 2], ContactLaws())], r"they cover \[0, 1, 2, 2\]"),
     ],

@@ -157,6 +157,8 @@ def test_basis_selected(harmonics, samples, orders, count):
         ((), None, "give distinct whole numbers from 0"),
         ((1, 1), None, "give distinct whole numbers from 0"),
         ((-2, 1), None, "give distinct whole numbers from 0"),
+        ((np.nan, 1), None, "give distinct whole numbers from 0"),
+        ((1, np.inf), None, "give distinct whole numbers from 0"),
         (5.0, None, "harmonics = 5.0; give the highest harmonic, a whole number, or a list of them"),
         ("5", None, "harmonics = '5'; give the highest harmonic, a whole number"),
         (["1"], None, r"harmonics = \['1'\]; give the highest harmonic, a whole number"),
