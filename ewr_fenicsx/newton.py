@@ -5,12 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from numbers import Real
+from reprlib import repr as shorten
+from typing import get_args
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     FINE_LEVELS,
@@ -66,17 +69,25 @@ def solve(
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Raises:
-        ModelError: ``start`` has another number of pairs, or the tolerance is out of bounds.
+        ModelError: ``start`` is no solution or has another number of pairs, the tolerance is out of bounds, or there is
+            no such ``linear_solver``.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
+    check_problem(problem)
+    if start is not None and not isinstance(start, PeriodicSolution):
+        raise ModelError(f"start = {shorten(start)}; give a solution that solve returned, or None")
     if start is not None and start.problem.model.pairs != problem.model.pairs:
         raise ModelError(
             f"start has {start.problem.model.pairs} pairs, the problem {problem.model.pairs}; give a solution on "
             "the same joint, or none"
         )
-    if not TIGHTEST <= tolerance <= LOOSEST:
+    if linear_solver not in (known := get_args(LinearSolver)):
         raise ModelError(
-            f"tolerance = {tolerance:g}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
+            f"linear_solver = {linear_solver!r}; choose one of {', '.join(known)}{nearest(linear_solver, known)}"
+        )
+    if not (isinstance(tolerance, Real) and TIGHTEST <= tolerance <= LOOSEST):
+        raise ModelError(
+            f"tolerance = {tolerance}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
             "above which even a start may pass for a solution; 1e-8 is usual"
         )
     begin = time.perf_counter()

@@ -18,11 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ewr_fenicsx.accuracy import check_accuracy
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, find_wearing_pairs, measure_wear_rate
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.following import solve_from
+from ewr_fenicsx.given import is_positive, is_whole
+from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -62,8 +65,10 @@ class Tolerance:
     damped: bool = True
 
     def __post_init__(self) -> None:
-        if not (self.share > 0 and self.first >= 1 and (self.depth is None or self.depth > 0)):
-            raise ModelError(f"{self}; depth and share must be positive, first at least 1 cycle")
+        if not (
+            is_positive(self.share) and is_whole(self.first, 1) and (self.depth is None or is_positive(self.depth))
+        ):
+            raise ModelError(f"{self}; depth and share must be positive, first a whole number of at least 1 cycle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,16 +202,25 @@ def evolve_wear(
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
         OutputError: ``file`` holds another run.
     """
+    check_problem(problem)
     model = problem.model
-    rates = np.broadcast_to(np.asarray(coefficient, dtype=float), (model.pairs,)).copy()
+    rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
     if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
         raise ModelError(
             f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
         )
-    if cycles < 1 or keep_every < 1 or checkpoint_every < 1:
+    if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
         raise ModelError(
-            f"cycles = {cycles}, keep_every = {keep_every}, checkpoint_every = {checkpoint_every}; all >= 1"
+            f"cycles = {cycles}, keep_every = {keep_every}, checkpoint_every = {checkpoint_every}; give whole numbers "
+            "from 1"
         )
+    cycles, keep_every = int(cycles), int(keep_every)
+    if not (deepest is None or is_positive(deepest)):
+        raise ModelError(f"deepest = {deepest}; give a positive depth [m], or None")
+    if not (jump is None or isinstance(jump, Tolerance)):
+        raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
+    if accuracy is not None:
+        check_accuracy(accuracy)
     if problem.frequency == 0:
         raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
     rates[~find_wearing_pairs(problem)] = 0.0

@@ -158,10 +158,15 @@ def test_modes_that_are_too_few_are_the_limit():
     assert "the 1 modes of the reduced model leave an error of" in found.limit
 
 
-@pytest.mark.parametrize("accuracy", [0.0, 1.0, -0.1])
+@pytest.mark.parametrize("accuracy", [0.0, 1.0, -0.1, np.nan, None, "x"])
 def test_an_accuracy_that_is_none_is_refused(accuracy):
-    with pytest.raises(ModelError, match="between 0 and 1"):
+    with pytest.raises(ModelError, match=f"accuracy = {accuracy!r}; give a relative error between 0 and 1"):
         solve_to_accuracy(rub_and_lift_off(), accuracy)
+
+
+def test_an_accuracy_of_something_else_than_a_problem_is_refused():
+    with pytest.raises(ModelError, match=r"problem = ReducedModel\(.*; give ContactProblem\("):
+        solve_to_accuracy(rub_and_lift_off().model, 0.1)
 
 
 def test_weights_that_are_given_are_kept():

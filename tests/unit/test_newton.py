@@ -136,8 +136,24 @@ def test_monitors_work_under_the_prefix(petsc_options, capfd):
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-17, 0.5, np.nan])
 def test_tolerances_that_mean_nothing_are_refused(tolerance):
-    with pytest.raises(ModelError, match=f"tolerance = {tolerance:g}; give one from 1e-13, .*, to 0.001"):
+    with pytest.raises(ModelError, match=f"tolerance = {tolerance}; give one from 1e-13, .*, to 0.001"):
         solve(PROBLEMS["floating, slip"], tolerance=tolerance)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"start": np.zeros(8)}, r"start = array\(.*; give a solution that solve returned, or None"),
+        ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\(model, laws, frequency\)"),
+        ({"linear_solver": "lu"}, "linear_solver = 'lu'; choose one of elimination, dense"),
+        ({"linear_solver": "elimnation"}, 'did you mean "elimination"'),
+        ({"tolerance": "tight"}, "tolerance = tight; give one from 1e-13"),
+        ({"tolerance": None}, "tolerance = None; give one from 1e-13"),
+    ],
+)
+def test_arguments_that_are_none_of_their_kind_are_refused(arguments, message):
+    with pytest.raises(ModelError, match=message):
+        solve(**{"problem": PROBLEMS["floating, slip"]} | arguments)
 
 
 def test_the_bounds_of_the_tolerance_are_those_of_a_scene():

@@ -379,6 +379,33 @@ def test_harmonics_are_raised_when_a_worn_joint_needs_more(tmp_path, monkeypatch
     assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"coefficient": [1e-11, 1e-11]}, "wear coefficient has 2 values for 6 pairs; give one, or one a pair"),
+        ({"coefficient": "steel"}, "wear coefficient = 'steel'; give numbers"),
+        ({"cycles": 2.5}, "cycles = 2.5, .*; give whole numbers from 1"),
+        ({"cycles": np.inf}, "cycles = inf, .*; give whole numbers from 1"),
+        ({"cycles": "many"}, "cycles = many, .*; give whole numbers from 1"),
+        ({"keep_every": 0}, "keep_every = 0, .*; give whole numbers from 1"),
+        ({"deepest": -1}, r"deepest = -1; give a positive depth \[m\], or None"),
+        ({"deepest": np.nan}, "deepest = nan; give a positive depth"),
+        ({"jump": 0.01}, r"jump = 0.01; give Tolerance\(share=0.01\) or the like, or None"),
+        ({"accuracy": "x"}, "accuracy = 'x'; give a relative error between 0 and 1"),
+        ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\("),
+    ],
+)
+def test_what_makes_no_wear_calculation_is_refused(arguments, message):
+    with pytest.raises(ModelError, match=message):
+        evolve_wear(**{"problem": dovetail_problem()} | arguments)
+
+
+@pytest.mark.parametrize("arguments", [{"share": 0}, {"share": "x"}, {"first": 2.5}, {"depth": np.inf}])
+def test_what_makes_no_tolerance_is_refused(arguments):
+    with pytest.raises(ModelError, match="depth and share must be positive, first a whole number of at least 1 cycle"):
+        Tolerance(**arguments)
+
+
 def test_what_an_accuracy_of_wear_cannot_mean():
     with pytest.raises(ModelError, match="between 0 and 1"):
         evolve_wear(dovetail_problem(), 5, WEAR_OF_DOVETAIL, accuracy=2.0)
