@@ -41,6 +41,7 @@ from ewr_fenicsx.solution_store import (
     write_records,
     write_table,
 )
+from ewr_fenicsx.symmetry import leave_out_idle
 from ewr_fenicsx.task_sharing import share_tasks
 
 BLOCK = 6  # given frequencies a block
@@ -194,7 +195,7 @@ def frequency_response(
         laws: Laws at the pairs; or several by the value of a parameter, ``{mu: ContactLaws(friction=mu), ...}``.
         frequencies: Rising [Hz]; a single number is one. The curve has a solution at each and, where it folds, those
             of the fold as well.
-        harmonics: As in ``ContactProblem``.
+        harmonics: As in ``ContactProblem``; those that symmetry makes zero are left out of a number of them.
         progress: Whether rank 0 shows how far it is and how long the rest will take.
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
             points are inserted between the given ones until it holds. None: none are.
@@ -225,7 +226,8 @@ def frequency_response(
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
 
     def make_follower(label: object) -> Follower:
-        problem_at = lambda f: replace(common, laws=family[label], frequency=float(f))  # noqa: E731
+        posed = leave_out_idle(replace(common, laws=family[label]))
+        problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
         problem_at(targets[0])  # so that laws that make no sense are told before any is solved
         return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
 

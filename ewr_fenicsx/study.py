@@ -158,14 +158,13 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
     problem = pose_problem(scene, model, chain.interface)
     idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
-    kept = tuple(h for h in problem.basis.orders if h not in idle.orders)
     settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
     with watch.stage("sweep"), refuse_other_work(work):
         curve = frequency_response(
             model,
             lay_laws(scene, chain.interface),
             scene.frequencies,
-            kept,
+            problem.harmonics,
             watch.progress is not None,
             folder=work,
             comm=comm,

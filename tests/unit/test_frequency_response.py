@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from small_models import dovetail, lift_off_oscillator, stop_oscillator
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, stop_oscillator
 
 from ewr_fenicsx import (
     ContactLaws,
@@ -315,3 +315,14 @@ def test_a_point_that_crossed_a_fold_is_told_or_left_out():
     kept, (jump, *_) = join_points(points, found, [points[1].problem.frequency])
     assert kept == found and "this is beyond its fold" in jump.why
     assert jump.frequency == (points[0].problem.frequency, points[1].problem.frequency)
+
+
+def test_harmonics_that_symmetry_makes_zero_cost_no_point_of_a_curve_anything():
+    model, laws = friction_oscillator(), ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+    short, listed = (
+        frequency_response(model, laws, [0.12, 0.14, 0.16], harmonics, progress=False)
+        for harmonics in (5, (0, 1, 2, 3, 4, 5))
+    )
+    assert {s.orders for s in short.solutions} == {(1, 3, 5)} and {s.unknowns for s in short.solutions} == {6}
+    assert {s.orders for s in listed.solutions} == {(0, 1, 2, 3, 4, 5)}
+    np.testing.assert_allclose(short.output("tip"), listed.output("tip")[:, 1::2], rtol=1e-7, atol=1e-12)
