@@ -9,6 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ewr_fenicsx import load_scene
+from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.study import run_study
+
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "demos" / "blade_root.toml"
 pytestmark = pytest.mark.parallel
@@ -121,3 +125,41 @@ def test_taken_folder_is_kept_by_all_ranks(mpirun, tmp_path):
     assert done.stderr.count("--overwrite") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
     assert (tmp_path / "results" / "notes.txt").read_text() == "mine"
+
+
+def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):
+    """Ranks that share the mesh round differently from run to run: the work goes on with the model it began with."""
+    text = (ROOT / "demos" / "dovetail.toml").read_text(encoding="utf-8").replace("../geometry", str(ROOT / "geometry"))
+    text = text.split("[wear]")[0].replace("wear = 1e-12", "").replace("force = [80.0", "force = [20.0")
+    text = text.replace("frequency = 1400.0", "frequency = { from = 1200, to = 1500, points = 16 }")
+    text += "[solver]\nharmonics = 1\n"
+    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "script.py").write_text(
+        "import sys\n"
+        "from ewr_fenicsx import frequency_sweep, output\n"
+        "from ewr_fenicsx.cli import main\n"
+        "solve, last = frequency_sweep._solve_block, int(sys.argv[2])\n"
+        "def stop(follower, block, store):\n"
+        "    if block.number == last:\n"
+        "        raise KeyboardInterrupt\n"
+        "    return solve(follower, block, store)\n"
+        "def write_curve(folder, chain, solution, write_more, **more):\n"
+        "    folder.mkdir(exist_ok=True)\n"
+        "    write_more(folder)\n"
+        "    return ()\n"
+        "frequency_sweep._solve_block, output.write_results = stop, write_curve\n"
+        "sys.exit(main(['run', 'scene.toml', '--out', sys.argv[1]]))\n"
+    )
+    done = mpirun(2, "python", "script.py", "results", "2")
+    partial = tmp_path / "results.partial"
+    assert done.returncode == 130 and "the work so far is in results.partial" in done.stderr, done.stderr
+    kept = {path.name for path in (partial / "blocks").glob("*.h5")}
+    assert kept and "000_0002.h5" not in kept
+    done = mpirun(2, "python", "script.py", "results", "-1")
+    assert done.returncode == 0 and done.stderr.count("going on with the work in results.partial") == 1, done.stderr
+    assert not partial.exists()
+    with (tmp_path / "results" / "frequency_response.csv").open() as file:
+        table = [[float(row["frequency [Hz]"]), float(row["rms_tip"])] for row in csv.DictReader(file)]
+    assert len(table) == 16
+    frequencies, alone = run_study(build_chain(load_scene(tmp_path / "scene.toml"))).curve
+    np.testing.assert_allclose(np.transpose(table), [frequencies, alone], rtol=1e-6)
