@@ -64,6 +64,7 @@ class AccurateSolution:
         limit: What kept it from that; "" where nothing did.
         levels: The solves that led there.
         seconds: Wall time of everything.
+        remedy: What can be done where there is a limit.
     """
 
     solution: PeriodicSolution
@@ -73,6 +74,7 @@ class AccurateSolution:
     limit: str
     levels: tuple[Level, ...] = field(repr=False)
     seconds: float
+    remedy: str = "allow more, or ask for less"
 
     def summary(self) -> str:
         """A few lines for people."""
@@ -89,7 +91,7 @@ class AccurateSolution:
         if modes and modes[-1] > modes[0]:
             lines.append(f"  modes raised from {modes[0]} to {modes[-1]}")
         if self.limit:
-            lines.append(f"  NOT as accurate as asked: {self.limit}")
+            lines.append(f"  NOT as accurate as asked: {self.limit}; {self.remedy}")
         return "\n".join([*lines, self.solution.summary()])
 
 
@@ -172,7 +174,7 @@ def solve_to_accuracy(
             if more_modes and len(modes) < most_modes:
                 problem, modes = more_modes(raise_modes(len(modes), most_modes))
             else:
-                limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}; keep more"
+                limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}"
         elif estimate.dominating == "samples":
             density *= 2
             if density > MOST_SAMPLES:
@@ -184,8 +186,8 @@ def solve_to_accuracy(
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
             raised = min(raised, highest, top + room)
             if raised <= top:
-                hit = f"harmonic {highest} is the highest allowed; allow more"
-                full = f"more harmonics than {top} take more than {most_unknowns} unknowns; allow more of both"
+                hit = f"harmonic {highest} is the highest allowed"
+                full = f"more harmonics than {top} take more than {most_unknowns} unknowns"
                 limit = hit if top >= highest else full
             top = raised
     return AccurateSolution(

@@ -5,7 +5,6 @@ Sweeps, wear and what serves an accuracy are imported where a scene asks for the
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -130,26 +129,24 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
 
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
-        found = _word_limit(solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice))
+        found = _word_remedy(solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice))
     chain, facts = modes.chain_of(found.solution), {"accuracy": _list_accuracy(found)}
     return Study(chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None, facts)
 
 
-def _word_limit(found: AccurateSolution) -> AccurateSolution:
+def _word_remedy(found: AccurateSolution) -> AccurateSolution:
     """The same, with what a scene can do about its limit in place of what a call can."""
-    if not found.limit:
-        return found
-    remedy = "ask for less, or give solver.harmonics in place of an accuracy"
-    if found.estimate.dominating == "modes":
-        remedy = f"ask for less, or raise reduction.modes above {found.levels[-1].modes}"
-    return replace(found, limit=f"{re.sub('; (allow|keep) more.*', '', found.limit)}; {remedy}")
+    if found.estimate.dominating == "modes" and found.levels:
+        return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
+    return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
 
 
 def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
     """What came of an accuracy that was asked for; causes that were not looked at are null."""
     causes = {name: None if np.isnan(error) else float(error) for name, error in asdict(found.estimate).items()}
     estimate = {"total": found.estimate.total} | causes
-    return {"asked": found.accuracy, "reached": found.reached, "limit": found.limit, "estimate": estimate}
+    limit = found.limit and f"{found.limit}; {found.remedy}"
+    return {"asked": found.accuracy, "reached": found.reached, "limit": limit, "estimate": estimate}
 
 
 def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
@@ -172,7 +169,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         )
         if accuracy is not None and curve.solutions:
             chain, curve = _refine(chain, watch, curve)
-            curve = replace(curve, accurate=tuple(map(_word_limit, curve.accurate)))
+            curve = replace(curve, accurate=tuple(map(_word_remedy, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
@@ -257,7 +254,8 @@ def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
     for found in curve.accurate:
         if not found.reached:
             frequency = found.solution.problem.frequency
-            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {found.estimate.total:.1g}; {found.limit}")
+            why = f"{found.estimate.total:.1g}; {found.limit}; {found.remedy}"
+            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {why}")
     return lines
 
 
