@@ -31,9 +31,11 @@ from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
+    check_place,
     fingerprint,
     gather_output,
     list_orders,
+    open_file,
     read_records,
     replace_file,
     restore,
@@ -42,9 +44,10 @@ from ewr_fenicsx.solution_store import (
     write_table,
 )
 from ewr_fenicsx.symmetry import leave_out_idle
-from ewr_fenicsx.task_sharing import share_tasks
+from ewr_fenicsx.task_sharing import do_together, share_tasks
 
 BLOCK = 6  # given frequencies a block
+_RESULTS = "frequency_response.h5"
 _FORMAT = "ewr_fenicsx frequency response, 2"
 
 Laws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
@@ -213,7 +216,7 @@ def frequency_response(
 
     Raises:
         ModelError: Frequencies do not rise, ``refine`` is not positive, or the problem makes no sense.
-        OutputError: ``folder`` holds blocks of another run.
+        OutputError: ``folder`` cannot be written, which is looked at first; or holds blocks of another run.
     """
     targets = _read_frequencies(frequencies)
     if refine is not None and not is_positive(refine):
@@ -237,6 +240,7 @@ def frequency_response(
     blocks = [_Block(label, n, piece) for label in family for n, piece in enumerate(pieces)]
     store = None
     if folder is not None:
+        do_together(lambda: [check_place(Path(folder) / name) for name in (_RESULTS, "blocks/000_0000.h5")], comm)
         stated = fingerprint(_FORMAT, common, family, targets, refine, tolerance)
         store = _BlockStore(Path(folder) / "blocks", stated, list(family))
 
@@ -259,9 +263,8 @@ def frequency_response(
             curves[label] = refine_response(
                 curves[label], posed, targets, accuracy, tolerance, modes=modes, comm=comm, progress=progress
             )
-    if folder is not None and comm.rank == 0:
-        _write_results(Path(folder), curves)
-    comm.Barrier()
+    if folder is not None:
+        do_together(lambda: comm.rank or _write_results(Path(folder), curves), comm)  # rank 0 writes
     return curves if isinstance(laws, Mapping) else curves[None]
 
 
@@ -350,9 +353,9 @@ class _BlockStore:
 
     def read(self, block: _Block) -> tuple[list[Record], list[Jump]] | None:
         path = self._path(block)
-        if not path.exists():
-            return None
-        with h5py.File(path, "r") as file:
+        with open_file(path) as file:
+            if file is None:
+                return None
             if file.attrs.get("stated") != self.stated:
                 raise OutputError(
                     f"{path} belongs to a run with another model, laws or settings; give another folder or remove it"
@@ -363,7 +366,7 @@ class _BlockStore:
 
 
 def _write_results(folder: Path, curves: Mapping[object, FrequencyResponse]) -> None:
-    with replace_file(folder / "frequency_response.h5") as file:
+    with replace_file(folder / _RESULTS) as file:
         file.attrs["format"] = _FORMAT
         for number, (label, curve) in enumerate(curves.items()):
             group = file.create_group(f"curve_{number}")

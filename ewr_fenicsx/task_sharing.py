@@ -48,12 +48,33 @@ def share_tasks(
                 take(len(tasks))  # nobody need begin another
     finally:
         take.free()
-    everyone = comm.allgather((mine, error))
+    done = {k: result for results in _gather(mine, error, comm) for k, result in results.items()}
+    return [done[k] for k in range(len(tasks))]
+
+
+def do_together(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) -> Result:
+    """Does something on every rank; collective.
+
+    Returns:
+        What it came to on this rank.
+
+    Raises:
+        Exception: What it raised on any rank, on every one: so that none waits for another that is gone.
+    """
+    result, error = None, None
+    try:
+        result = action()
+    except Exception as caught:
+        error = caught
+    return _gather(result, error, comm)[comm.rank]
+
+
+def _gather(own: Result, error: Exception | None, comm: MPI.Comm) -> list[Result]:
+    everyone = comm.allgather((own, error))
     failed = [e for _, e in everyone if e is not None]
     if failed:
         raise failed[0]
-    done = {k: result for results, _ in everyone for k, result in results.items()}
-    return [done[k] for k in range(len(tasks))]
+    return [result for result, _ in everyone]
 
 
 class _Counter:

@@ -30,7 +30,7 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import fingerprint, gather_output, list_orders, write_table
+from ewr_fenicsx.solution_store import check_place, fingerprint, gather_output, list_orders, write_table
 from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearFile, WearState, WearStep
 
@@ -200,7 +200,7 @@ def evolve_wear(
     Raises:
         ModelError: No pair can wear, or a number makes no sense; or more modes in a run that is to be resumed.
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
-        OutputError: ``file`` holds another run.
+        OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
     check_problem(problem)
     model = problem.model
@@ -243,6 +243,8 @@ def evolve_wear(
         )
     judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice)
     run = _Run(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
+    if store and (state is None or not run.is_done(state)):
+        check_place(store.path)
     state = state or run.begin()
     saved = state if store else None
     try:
@@ -281,9 +283,12 @@ class _Run:
         return WearState(first, None, self.jump.first if self.jump else 1, 1, (first,), None)
 
     def go_on(self, state: WearState) -> Iterator[WearState]:
-        while state.stopped is None and state.latest.cycle < self.cycles:
+        while not self.is_done(state):
             state = self.advance(state)
             yield state
+
+    def is_done(self, state: WearState) -> bool:
+        return state.stopped is not None or state.latest.cycle >= self.cycles
 
     def advance(self, state: WearState) -> WearState:
         """The state one cycle or jump later, or why there is none."""

@@ -12,7 +12,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import read_records, replace_file, restore, strip, write_records
+from ewr_fenicsx.solution_store import open_file, read_records, replace_file, restore, strip, write_records
 
 _FORMAT = "ewr_fenicsx wear, 2"
 
@@ -82,11 +82,11 @@ class WearFile:
         """The state in the file, None where there is no file.
 
         Raises:
-            OutputError: The file holds another calculation.
+            OutputError: The file holds another calculation, or none that can be read.
         """
-        if not self.path.exists():
-            return None
-        with h5py.File(self.path, "r") as file:
+        with open_file(self.path) as file:
+            if file is None:
+                return None
             if file.attrs.get("format") != _FORMAT or file.attrs.get("stated") != self.stated:
                 raise OutputError(
                     f"{self.path} holds another calculation (model, laws, cycles or settings differ); give another "

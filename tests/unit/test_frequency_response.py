@@ -138,6 +138,52 @@ def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch
         sweep(folder=tmp_path, laws=replace(LAWS, friction=0.31))
 
 
+@pytest.mark.parametrize("keep", [0, 20, 3000], ids=["empty", "cut in its header", "cut"])
+def test_a_damaged_block_is_named(tmp_path, keep):
+    sweep(folder=tmp_path)
+    block = tmp_path / "blocks" / "000_0000.h5"
+    block.write_bytes(block.read_bytes()[:keep])
+    with pytest.raises(OutputError, match=r"blocks/000_0000.h5 cannot be read: .*; give another place, or remove it"):
+        sweep(folder=tmp_path)
+
+
+def spoil_parent(folder):
+    (folder / "taken").write_text("a file")
+    return folder / "taken" / "below"
+
+
+def spoil_results(folder):
+    (folder / "frequency_response.h5").mkdir()
+    return folder
+
+
+def spoil_blocks(folder):
+    (folder / "blocks").write_text("a file")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "spoil, message",
+    [
+        (spoil_parent, r"taken/below/frequency_response.h5 cannot be written: Not a directory; give a place where"),
+        (spoil_results, "frequency_response.h5 cannot be written: it is a folder; give a place"),
+        (spoil_blocks, r"blocks/000_0000.h5 cannot be written: .*; give a place"),
+        (lambda _: "/proc", r"/proc/frequency_response.h5 cannot be written: .*; give a place where files can be"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_refused_before_any_solve(spoil, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(frequency_sweep, "_solve_block", lambda *_: pytest.fail("solved"))
+    with pytest.raises(OutputError, match=message):
+        sweep(folder=spoil(tmp_path))
+
+
+def test_a_folder_is_made_and_a_table_names_one_that_is_not_there(tmp_path):
+    curve = sweep(FREQUENCIES[:2], folder=tmp_path / "below" / "it")
+    assert (tmp_path / "below" / "it" / "frequency_response.h5").exists()
+    with pytest.raises(OutputError, match=r"nowhere/curve.csv cannot be written: No such file or directory; give"):
+        curve.write_csv(tmp_path / "nowhere" / "curve.csv")
+
+
 def test_records_bring_solutions_back():
     solution = sweep().solutions[3]
     back = restore(solution.problem, strip(solution))

@@ -26,7 +26,7 @@ from ewr_fenicsx import (
 )
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.contact_state import STICK, classify_contact
-from ewr_fenicsx.errors import ModelError, UnheldBody
+from ewr_fenicsx.errors import ModelError, OutputError, UnheldBody
 from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.following import solve_from
 from ewr_fenicsx.wear_fields import tabulate_wear_fields
@@ -404,6 +404,40 @@ def test_what_makes_no_wear_calculation_is_refused(arguments, message):
 def test_what_makes_no_tolerance_is_refused(arguments):
     with pytest.raises(ModelError, match="depth and share must be positive, first a whole number of at least 1 cycle"):
         Tolerance(**arguments)
+
+
+@pytest.mark.parametrize("keep", [0, 20, 3000], ids=["empty", "cut in its header", "cut"])
+def test_a_damaged_file_of_wear_is_named(tmp_path, keep):
+    run = lambda: evolve_wear(dovetail_problem(), 2, WEAR_OF_DOVETAIL, file=tmp_path / "wear.h5")  # noqa: E731
+    run()
+    whole = (tmp_path / "wear.h5").read_bytes()
+    (tmp_path / "wear.h5").write_bytes(whole[:keep])
+    with pytest.raises(
+        OutputError, match=r"wear.h5 cannot be read: .*; give another place, or remove it to begin anew"
+    ):
+        run()
+
+
+@pytest.mark.parametrize(
+    "place, message",
+    [
+        ("taken/below/wear.h5", "taken/below/wear.h5 cannot be written: Not a directory; give a place"),
+        (".", "cannot be written: it is a folder; give a place where files can be"),
+        ("/proc/wear.h5", "/proc/wear.h5 cannot be written: .*; give a place where files can be"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_any_solve(place, message, tmp_path, monkeypatch):
+    (tmp_path / "taken").write_text("a file")
+    monkeypatch.setattr(wear, "solve", lambda *_, **__: pytest.fail("solved"))
+    with pytest.raises(OutputError, match=message):
+        evolve_wear(dovetail_problem(), 2, WEAR_OF_DOVETAIL, file=tmp_path / place)
+
+
+def test_a_finished_file_is_read_where_nothing_can_be_written(tmp_path, monkeypatch):
+    run = lambda: evolve_wear(dovetail_problem(), 2, WEAR_OF_DOVETAIL, file=tmp_path / "wear.h5")  # noqa: E731
+    first = run()
+    monkeypatch.setattr(wear, "check_place", lambda _: pytest.fail("asked for a place to write"))
+    np.testing.assert_array_equal(run().depth, first.depth)
 
 
 def test_what_an_accuracy_of_wear_cannot_mean():
