@@ -23,6 +23,17 @@ try:
 except ValueError as error:
     print(f"caught {error}\\n", end="", flush=True)
 """
+ONE_FAILS = """
+from mpi4py import MPI
+from ewr_fenicsx.task_sharing import do_together
+
+comm = MPI.COMM_WORLD
+assert do_together(lambda: 10 * comm.rank, comm) == 10 * comm.rank
+try:
+    do_together(lambda: 1 / (1 - comm.rank), comm)
+except ZeroDivisionError as error:
+    print(f"caught {error}\\n", end="", flush=True)
+"""
 
 
 def test_curves_do_not_depend_on_the_number_of_ranks(mpirun, tmp_path):
@@ -46,3 +57,9 @@ def test_a_failed_task_is_an_error_on_every_rank(mpirun):
     done = mpirun(2, "python", "-m", "mpi4py", "-c", FAILING, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("caught task 3") == 2
+
+
+def test_what_fails_on_one_rank_is_an_error_on_every_one(mpirun):
+    done = mpirun(2, "python", "-m", "mpi4py", "-c", ONE_FAILS, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("caught division by zero") == 2
