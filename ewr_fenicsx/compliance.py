@@ -185,14 +185,14 @@ def find_normal_modes(model: ReducedModel) -> NormalModes | None:
 def receptance(
     model: ReducedModel,
     omega: float,
-    readers: RealArray,
+    readers: RealArray | None,
     forces: ComplexArray,
     generalised_inverse: GeneralisedInverse = "inertia relief",
 ) -> ComplexArray:
     """``C Z(omega)^-1 F``: what rows ``C (p, n)`` read of the response to harmonic forces ``F (n, k)``.
 
     By modal superposition where the modes uncouple the model, else by one factorisation of ``Z``; at zero frequency
-    a generalised inverse.
+    a generalised inverse. Without rows, all coordinates.
 
     Returns:
         ``(p, k)`` complex.
@@ -200,13 +200,14 @@ def receptance(
     Raises:
         ModelError: The frequency hits an undamped mode exactly.
     """
+    read = (lambda response: response) if readers is None else (lambda response: readers @ response)
     modes = find_normal_modes(model)
     if modes is None or (omega == 0 and generalised_inverse == "pinned"):
         if omega == 0:
-            return readers @ solve_static(model, forces, generalised_inverse)
+            return read(solve_static(model, forces, generalised_inverse))
         impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
-        return readers @ scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True)
-    return superpose(readers @ modes.shapes, modes.gain(omega), modes.shapes.T @ forces)
+        return read(scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True))
+    return superpose(read(modes.shapes), modes.gain(omega), modes.shapes.T @ forces)
 
 
 def superpose(read: RealArray, gain: ComplexArray, excited: ComplexArray) -> ComplexArray:

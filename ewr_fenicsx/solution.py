@@ -80,9 +80,7 @@ class PeriodicSolution:
         amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
         for j, h in enumerate(self.orders):
             force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
-            amplitudes[j] = receptance(system.model, h * self.problem.omega, np.eye(system.model.size), force[:, None])[
-                :, 0
-            ]
+            amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None])[:, 0]
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
             modes = system.model.rigid_modes

@@ -9,7 +9,7 @@ import pytest
 from small_models import bar_against_wall, dovetail, random_structure, transform_coordinates
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.compliance import condense, scale_rigid_modes, solve_static
+from ewr_fenicsx.compliance import condense, find_normal_modes, receptance, scale_rigid_modes, solve_static
 from ewr_fenicsx.errors import ModelError
 
 ORDERS = (0, 1, 2, 5)
@@ -190,3 +190,15 @@ def test_a_periodic_motion_needs_a_frequency():
     ):
         condense(model, model.normal, {1: np.ones(model.size)}, 0.0, (0, 1))
     assert condense(model, model.normal, {}, 0.0, (0,)).flexibility.shape == (1, 3, 3)
+
+
+@pytest.mark.parametrize("omega", [0.0, 1.3])
+@pytest.mark.parametrize("coupled", [False, True])
+def test_without_rows_all_coordinates_are_read(omega, coupled):
+    model = random_structure()
+    if coupled:
+        model = replace(model, damping=model.damping + np.diag(np.arange(9.0)))
+    assert (find_normal_modes(model) is None) == coupled
+    forces = np.arange(18.0).reshape(9, 2) + 1j
+    expected = receptance(model, omega, np.eye(9), forces)
+    np.testing.assert_allclose(receptance(model, omega, None, forces), expected, rtol=1e-12)
