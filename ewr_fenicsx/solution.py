@@ -237,8 +237,8 @@ class PeriodicSolution:
         """Figures of merit by name; docs/method.md defines each.
 
         Violations of the laws [m, N, over the largest limit], looked for between the samples as well, where no law is
-        enforced; energies over a period [J] and their imbalance [-]; sliding a cycle and mean gap [m], means over the
-        pairs; RMS of outputs in their own units.
+        enforced; energies over a period [J] and their imbalance [-]; sliding a cycle, a mean over the pairs, and mean
+        gap, over those that may part [m]; RMS of outputs in their own units.
         """
         problem, model = self.problem, self.problem.model
         omega = problem.omega or 1.0
@@ -248,6 +248,7 @@ class PeriodicSolution:
         if problem.basis.samples < FINE:
             fine = {name: self.history(name, FINE) for name in ("gap", "normal_force", "friction_force")}
         friction, unilateral = problem.friction, problem.opens
+        gaps = indicators.measure_separation(sampled["gap"][:, unilateral])
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
         work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
@@ -273,7 +274,7 @@ class PeriodicSolution:
             "friction_dissipation": float(rubbed),
             "energy_error": (work - dissipated - float(rubbed)) / scale,
             "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(problem.basis.samples), period))),
-            "J_N": float(np.mean(indicators.measure_separation(sampled["gap"]))),
+            "J_N": float(np.mean(gaps)) if gaps.size else 0.0,
         }
         for name in model.outputs:
             figures[f"rms_{name}"] = indicators.measure_rms(self.output(name), self.orders)

@@ -254,6 +254,17 @@ def test_figures_of_several_pairs_are_means_over_them(floating):
     assert floating.merit["J_N"] == pytest.approx(floating.history("gap", count).mean(axis=0).sum() / 6, rel=1e-9)
 
 
+def test_separation_is_that_of_pairs_that_may_part():
+    """Relative motion of the others is no gap."""
+    model = replace(random_structure(), load={0: np.ones(9), 1: np.arange(9.0) * 1j})
+    groups = [([0], ContactLaws("prescribed", "frictionless", normal_force=1.0)), ([1, 2], ContactLaws(friction=0.3))]
+    mixed = solve(ContactProblem(model, groups, 0.2, 5))
+    gap = mixed.history("gap", mixed.problem.basis.samples).mean(axis=0)
+    assert mixed.merit["J_N"] == pytest.approx(gap[1:].mean(), rel=1e-12) and abs(gap[0]) > 1e-3
+    pressed = solve(ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.3), 0.2, 5))
+    assert pressed.merit["J_N"] == 0.0
+
+
 def test_energy_is_balanced_to_the_tolerance_where_pairs_stay_closed(floating):
     """The friction force and the velocity share their harmonics: no truncation is left in the balance."""
     assert floating.merit["friction_dissipation"] > 0.2 * floating.merit["excitation_work"]
