@@ -85,6 +85,8 @@ class ContactLaws:
                 raise ModelError(f"{name} = {getattr(self, name)}; it must be finite and not negative")
         if (find_kind("normal", self.normal) is Prescribed) != (self.normal_force is not None):
             raise ModelError('normal = "prescribed" goes with normal_force, and only with it; give both or neither')
+        if not isinstance(self.parameters, Mapping):
+            raise ModelError(f'parameters = {self.parameters!r}; give a dictionary such as {{"spring": 2e6}}')
         self.kinds  # noqa: B018  mistakes in the parameters come to light here
 
     @cached_property

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from numbers import Real
 from reprlib import repr as shorten
+from typing import get_args
 
 import numpy as np
 
@@ -73,6 +74,8 @@ class ContactProblem:
                 f"frequency = {self.frequency} Hz; give a positive one from {LOWEST_FREQUENCY:g} to "
                 f"{HIGHEST_FREQUENCY:g} Hz, zero where nothing oscillates"
             )
+        if self.generalised_inverse not in (known := get_args(GeneralisedInverse)):
+            raise ModelError(f"generalised_inverse = {self.generalised_inverse!r}; choose one of {', '.join(known)}")
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
             if value is None:

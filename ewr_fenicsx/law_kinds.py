@@ -254,7 +254,7 @@ def find_kind(side: Side, name: str) -> type:
     Raises:
         ModelError: Nothing of that name is registered; names what is.
     """
-    if (side, name) not in _KINDS:
+    if not isinstance(name, str) or (side, name) not in _KINDS:
         known = known_laws(side)
         raise ModelError(f'{side} = "{name}"; choose one of {", ".join(map(_quote, known))}{nearest(name, known)}')
     return _KINDS[side, name]
