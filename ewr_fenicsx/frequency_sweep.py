@@ -43,7 +43,7 @@ from ewr_fenicsx.solution_store import (
     write_records,
     write_table,
 )
-from ewr_fenicsx.symmetry import leave_out_idle
+from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_together, share_tasks
 
 BLOCK = 6  # given frequencies a block
@@ -100,7 +100,7 @@ class FrequencyResponse:
         """
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
-        near = np.append(back, False) | np.insert(back, 0, False)
+        near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
         return np.array([bool(at and s.side < 0) for at, s in zip(near, self.solutions, strict=True)], dtype=bool)
 
     def output(self, name: str) -> ComplexArray:
@@ -198,7 +198,7 @@ def frequency_response(
         laws: Laws at the pairs; or several by the value of a parameter, ``{mu: ContactLaws(friction=mu), ...}``.
         frequencies: Rising [Hz]; a single number is one. The curve has a solution at each and, where it folds, those
             of the fold as well.
-        harmonics: As in ``ContactProblem``; those that symmetry makes zero are left out of a number of them.
+        harmonics: As in ``ContactProblem``.
         progress: Whether rank 0 shows how far it is and how long the rest will take.
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
             points are inserted between the given ones until it holds. None: none are.
@@ -228,8 +228,10 @@ def frequency_response(
         raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
 
+    asked = {label: replace(common, laws=own) for label, own in family.items()}
+
     def make_follower(label: object) -> Follower:
-        posed = leave_out_idle(replace(common, laws=family[label]))
+        posed = leave_out_idle(asked[label])
         problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
         problem_at(targets[0])  # so that laws that make no sense are told before any is solved
         return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
@@ -257,7 +259,10 @@ def frequency_response(
         curve = _join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower)
         found = {s.problem.frequency for s in curve.points}
         missing = tuple(f for f in targets if f not in found)
-        curves[label] = FrequencyResponse(tuple(curve.points), tuple(curve.jumps), missing)
+        points = curve.points
+        if find_idle_harmonics(asked[label]).orders:
+            points = [include_idle(s, replace(asked[label], frequency=s.problem.frequency)) for s in points]
+        curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
             posed = follower.problem_at(targets[0])
             curves[label] = refine_response(

@@ -161,7 +161,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             model,
             lay_laws(scene, chain.interface),
             scene.frequencies,
-            problem.harmonics,
+            [h for h in problem.basis.orders if h not in idle.orders],  # no columns of zeros
             watch.progress is not None,
             folder=work,
             comm=comm,

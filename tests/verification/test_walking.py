@@ -89,9 +89,11 @@ def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(n
     assert not walks(balance, balance.pack(solution.forces, solution.rigid))
 
 
-def test_a_sweep_leaves_out_where_the_body_walks():
+def test_a_sweep_leaves_out_where_the_body_walks(tmp_path):
     """The pull is not carried where the mass follows the load, whatever the frequency; the rest of a family is kept."""
     problem = sled({0: 0.1, 1: 1.0})
     laws = {1.0: problem.laws, 9.0: ContactLaws("prescribed", normal_force=9.0, friction=LIMIT)}
-    curves = frequency_response(problem.model, laws, [0.2, 0.3], 5, progress=False)
+    curves = frequency_response(problem.model, laws, [0.2, 0.3], 5, progress=False, folder=tmp_path)
     assert curves[1.0].missing == (0.2, 0.3) and curves[9.0].missing == ()
+    none, all_ = (path.read_text().splitlines() for path in sorted(tmp_path.glob("*.csv")))
+    assert len(none) == 1 and len(all_) == 3, "a curve without a solution is a table without rows"
