@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
+_STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
@@ -262,6 +263,7 @@ def integrate(
     """
     if periods < 1:
         raise ModelError(f"periods = {periods}; give at least one")
+    check_problem(problem)
     scheme = TimeScheme(problem, steps, theta)
     state = choose_start(problem, start)
     here = np.concatenate([scheme.contract(state.position), scheme.contract(state.velocity)])
@@ -321,11 +323,13 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         state = start
     elif start is None or isinstance(start, str):
         if start not in (None, "rest"):
-            raise ModelError(f'start = "{start}"; give "rest", None (full stick), a PeriodicSolution or a State')
+            raise ModelError(f'start = "{start}"; {_STARTS}')
         stuck = find_full_stick(problem)
         state = State(stuck.coordinates[0].real, np.zeros(problem.model.size)) if start == "rest" else state_of(stuck)
-    else:
+    elif isinstance(start, PeriodicSolution):
         state = state_of(start)
+    else:
+        raise ModelError(f"start is of type {type(start).__name__}; {_STARTS}")
     for name in ("position", "velocity"):
         value = np.asarray(getattr(state, name), dtype=float)
         if value.shape != (problem.model.size,) or not np.isfinite(value).all():

@@ -277,11 +277,17 @@ def test_resampling_keeps_phase_and_wraps_round():
         ({"steps": 0}, "steps = 0"),
         ({"periods": 0}, "periods = 0"),
         ({"theta": 0.4}, "theta = 0.4"),
+        ({"start": np.zeros(8)}, 'start is of type ndarray; give "rest"'),
     ],
 )
 def test_senseless_arguments_are_refused(arguments, message):
     with pytest.raises(ModelError, match=message):
         integrate(pose(chain_of(2)), **arguments)
+
+
+def test_a_model_is_no_problem_to_step():
+    with pytest.raises(ModelError, match="ContactProblem"):
+        integrate(chain_of(2))
 
 
 def test_names_and_frequencies_that_do_not_exist_are_refused():
