@@ -30,7 +30,7 @@ RealArray = np.ndarray
 ComplexArray = np.ndarray
 
 _FORMAT = "ewr_fenicsx reduced model, 1"
-_NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass or damping accepted
+_NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
@@ -41,7 +41,7 @@ class ReducedModel:
 
     Args:
         mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric,
-            positive semidefinite. The symmetric part of the damping likewise; its skew part, gyroscopic, is free.
+            positive semidefinite; damping any: gyroscopic where skew, and feeding motions, as flutter, where negative.
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
         tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; or None.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
@@ -76,8 +76,7 @@ class ReducedModel:
         freeze("damping", _matrix("damping", self.damping, (n, n)))
         for name in ("mass", "stiffness"):
             _check_symmetry(name, getattr(self, name))
-        _check_sign("mass", self.mass)
-        _check_sign("damping", 0.5 * (self.damping + self.damping.T))
+        _check_mass(self.mass)
         if self.normal is None and self.tangential is None:
             raise ModelError("a reduced model needs contact rows: give normal, tangential or both")
         pairs = None
@@ -308,17 +307,17 @@ def _check_symmetry(name: str, matrix: RealArray) -> None:
         )
 
 
-def _check_sign(name: str, symmetric: RealArray) -> None:
+def _check_mass(mass: RealArray) -> None:
     """A Cholesky factorisation, which costs less than the eigenvalues: those are for the message."""
-    diagonal = np.abs(np.diag(symmetric))
-    floor = 1e-8 * np.abs(symmetric).max(initial=1e-300)  # rounding about empty coordinates stays small on this scale
+    diagonal = np.abs(np.diag(mass))
+    floor = 1e-8 * np.abs(mass).max(initial=1e-300)  # rounding about massless coordinates stays small on this scale
     scale = 1 / np.sqrt(np.maximum(diagonal, floor))
-    scaled = scale[:, None] * symmetric * scale
+    scaled = scale[:, None] * mass * scale
     try:
-        np.linalg.cholesky(scaled + _NEGATIVE * np.eye(len(symmetric)))
+        np.linalg.cholesky(scaled + _NEGATIVE * np.eye(len(mass)))
     except np.linalg.LinAlgError:
         raise ModelError(
-            f"{name} is not positive semidefinite: scaled eigenvalue {np.linalg.eigvalsh(scaled)[0]:.3g}; check its "
+            f"mass is not positive semidefinite: scaled eigenvalue {np.linalg.eigvalsh(scaled)[0]:.3g}; check its "
             "sign and assembly"
         ) from None
 

@@ -293,6 +293,8 @@ class PeriodicSolution:
         if merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
+        if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
+            lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         if self.fallbacks:
             stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")

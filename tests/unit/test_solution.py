@@ -254,6 +254,16 @@ def test_figures_of_several_pairs_are_means_over_them(floating):
     assert floating.merit["J_N"] == pytest.approx(floating.history("gap", count).mean(axis=0).sum() / 6, rel=1e-9)
 
 
+def test_damping_that_feeds_a_motion_is_told():
+    """As in flutter: friction takes what the damping matrix gives."""
+    model = friction_oscillator(damping=-0.02)
+    fed = solve(ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.3), 0.15, 5))
+    assert fed.merit["viscous_dissipation"] < 0 < fed.merit["friction_dissipation"]
+    assert any("the damping matrix feeds" in line for line in fed.cautions)
+    usual = solve(replace(fed.problem, model=friction_oscillator(damping=0.02)))
+    assert not any("damping" in line for line in usual.cautions)
+
+
 def test_separation_is_that_of_pairs_that_may_part():
     """Relative motion of the others is no gap."""
     model = replace(random_structure(), load={0: np.ones(9), 1: np.arange(9.0) * 1j})
