@@ -173,9 +173,14 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
     """Read a model that ``ReducedModel.save`` wrote; the same as ``ReducedModel.load(path)``.
 
     Raises:
-        ModelError: The file was not written by ``ReducedModel.save``.
+        ModelError: There is no such file, or it was not written by ``ReducedModel.save``.
     """
-    with h5py.File(path, "r") as file:
+    try:
+        opened = h5py.File(path, "r")
+    except OSError as error:
+        why = error.strerror or error
+        raise ModelError(f"{path} is no reduced model: {why}; give a file that ReducedModel.save wrote") from None
+    with opened as file:
         if file.attrs.get("format") != _FORMAT:
             raise ModelError(f'{path}: format "{file.attrs.get("format")}", expected "{_FORMAT}"; write it with save()')
         arrays = {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}

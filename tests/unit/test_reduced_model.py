@@ -134,6 +134,13 @@ def test_a_model_survives_its_file(model, tmp_path):
             np.testing.assert_array_equal(before[key], after[key])
 
 
+def test_a_file_that_is_missing_or_none_of_this_kind_is_named(tmp_path):
+    (tmp_path / "text.h5").write_text("no HDF5")
+    for name in ("text.h5", "missing.h5"):
+        with pytest.raises(ModelError, match=rf"{name} is no reduced model: .*; give a file that"):
+            ReducedModel.load(tmp_path / name)
+
+
 def test_a_strange_file_is_refused(tmp_path):
     with h5py.File(tmp_path / "strange.h5", "w") as file:
         file.attrs["format"] = "something else"
