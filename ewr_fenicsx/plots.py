@@ -260,28 +260,31 @@ def draw_curves(
         x: ``(n,)``.
         series: Name -> ``(n,)``.
         breaks: Points after which lines begin anew.
-        unstable: ``(n,)`` points that no motion in time stays at: lines to them are dashed.
+        unstable: ``(n,)`` points that no motion in time stays at: hollow, and lines to them dashed.
     """
+    hollow = np.zeros(len(x), dtype=bool) if unstable is None else np.asarray(unstable, dtype=bool)
+    empty = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white"}
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
     for k, (name, values) in enumerate(series.items()):
         colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
         axes.plot([], [], ".-", color=colour, linewidth=1.2, label=name)
-        axes.plot(x, values, ".", color=colour)
-        for style, run in _cut_into_lines(len(x), breaks, unstable):
+        for style, run in _cut_into_lines(breaks, hollow):
             axes.plot(x[run], np.asarray(values)[run], style, color=colour, linewidth=1.2)
-    if unstable is not None and np.any(unstable):
-        axes.plot([], [], "--", color="0.3", linewidth=1.2, label="unstable")
+        axes.plot(x[~hollow], np.asarray(values)[~hollow], ".", color=colour)
+        axes.plot(x[hollow], np.asarray(values)[hollow], linestyle="", color=colour, **empty)
+    if np.any(hollow):
+        axes.plot([], [], "--", color="0.3", linewidth=1.2, label="unstable", **empty)
     axes.set_xlabel(across)
     axes.set_ylim(bottom=0.0)
     axes.legend()
     figure.savefig(path, dpi=DPI)
 
 
-def _cut_into_lines(count: int, breaks: Sequence[int], unstable: np.ndarray | None) -> list[tuple[str, slice]]:
+def _cut_into_lines(breaks: Sequence[int], unstable: np.ndarray) -> list[tuple[str, slice]]:
     """Line styles and the points that each runs through; a line to an unstable point is dashed."""
-    at = np.zeros(count, dtype=bool) if unstable is None else np.asarray(unstable)
-    styles = [None if i in breaks else "--" if at[i] or at[i + 1] else "-" for i in range(count - 1)]
+    dashed = unstable[:-1] | unstable[1:]
+    styles = [None if i in breaks else "--" if away else "-" for i, away in enumerate(dashed)]
     runs, begin = [], 0
     for style, steps in groupby(styles):
         end = begin + len(list(steps))
