@@ -82,3 +82,9 @@ def mpirun(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable
         return finished
 
     return run
+
+
+@pytest.fixture
+def headless() -> tuple[str, ...]:
+    """Runs a command on a display that nobody sees, of a number of its own: two that start at once took the same."""
+    return ("xvfb-run", "-a", "-n", str(100 + os.getpid() % 10_000))

@@ -137,10 +137,10 @@ def test_paraview_warps_the_mesh_by_the_displacement(opened):
 
 
 @pytest.mark.slow
-def test_paraview_draws_the_moving_blade(results, tmp_path):
+def test_paraview_draws_the_moving_blade(results, tmp_path, headless):
     """With no display. Blue to red on white; the blade bends to one side, and half a period later to the other."""
     (tmp_path / "render.py").write_text(RENDER)
-    call_paraview("xvfb-run", "-a", "pvbatch", "--force-offscreen-rendering", tmp_path / "render.py", results, tmp_path)
+    call_paraview(*headless, "pvbatch", "--force-offscreen-rendering", tmp_path / "render.py", results, tmp_path)
     middles = []
     for name in ("first", "later"):
         picture = imread(tmp_path / f"{name}.png")[..., :3]

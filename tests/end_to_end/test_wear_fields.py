@@ -83,13 +83,13 @@ def test_files_are_plain_hdf5(worn):
 
 
 @pytest.mark.slow
-def test_paraview_draws_the_flanks_wearing(worn, tmp_path):
+def test_paraview_draws_the_flanks_wearing(worn, tmp_path, headless):
     """The script of the demos, without a display: a frame for each step, the last with the flanks apart."""
     folder, _, history = worn
     for program in ("xvfb-run", "pvbatch"):
         assert shutil.which(program), f"the full run needs {program}: tools/setup.sh full installs it"
     draw = ["pvbatch", "--force-offscreen-rendering", DEMOS / "wear_in_paraview.py", folder, tmp_path]
-    done = subprocess.run(["xvfb-run", "-a", *draw], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run([*headless, *draw], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr and "ERR|" not in done.stderr, done.stderr
     assert len(list(tmp_path.glob("wear_*.png"))) == len(history.cycles)
