@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -55,7 +56,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     G = system.compliance.rigid_motion[rows]
     free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
     stiffness = free @ np.linalg.pinv(free.T @ flexibility @ free, rcond=1e-10, hermitian=True) @ free.T
-    sliding = np.mean(solution.sliding_speed(SAMPLES)[:, pairs], axis=0) / problem.frequency
+    sliding = measure_sliding(solution.sliding_speed(SAMPLES)[:, pairs], 1 / problem.frequency)
     weight = coefficient[pairs] * sliding / problem.model.pair_area[pairs]
     decay[np.ix_(pairs, pairs)] = weight[:, None] * stiffness
     return decay

@@ -181,6 +181,15 @@ class ContactProblem:
         return given
 
     @cached_property
+    def excitation(self) -> Mapping[int, ComplexArray]:
+        """Harmonic -> ``(n,)`` amplitudes of all that is given on the model: loads, and normal forces [N]."""
+        total = dict(self.loads)
+        for h, amplitude in self.given_force.items() if self.model.normal is not None else ():
+            if np.any(amplitude):  # symmetry may have left the harmonic of others out
+                total[h] = total.get(h, 0) + self.model.normal.T @ amplitude
+        return total
+
+    @cached_property
     def system(self) -> ContactSystem:
         """The composed system, built on first use."""
         return compose(self)
@@ -265,14 +274,10 @@ def compose(problem: ContactProblem) -> ContactSystem:
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    load = dict(problem.loads)
-    for h, amplitude in problem.given_force.items() if model.normal is not None else ():
-        if not np.any(amplitude):
-            continue  # symmetry may have left that harmonic out
-        if h not in basis.orders:
+    for h, f in problem.excitation.items():  # loads are looked at where the problem is posed
+        if h not in basis.orders and np.any(f):
             raise ModelError(f"the prescribed normal force has a harmonic {h}; add it to harmonics")
-        load[h] = load.get(h, 0) + model.normal.T @ amplitude
-    load = {h: layout.expansion.T @ f for h, f in load.items()}
+    load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)

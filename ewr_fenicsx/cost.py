@@ -15,6 +15,7 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.estimates import choose_samples, match_mobility, read_friction_weight
+from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -74,7 +75,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
     opening = max(gap[:, problem.opens].max(initial=0.0), np.ptp(slip, axis=0).max(initial=0.0)) or 1.0
     return Figures(
         output=output,
-        sliding=period * speed.mean(axis=0),
+        sliding=measure_sliding(speed, period),
         normal_force=force,
         wear=period * (pressing / problem.model.pair_area * speed).mean(axis=0),
         penetration=max(0.0, -float(gap[:, problem.opens].min(initial=0.0))) / opening,

@@ -228,12 +228,11 @@ def frequency_response(
         raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
 
-    asked = {label: replace(common, laws=own) for label, own in family.items()}
+    asked = {label: replace(common, laws=own) for label, own in family.items()}  # what makes no sense is told here
 
     def make_follower(label: object) -> Follower:
         posed = leave_out_idle(asked[label])
         problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
-        problem_at(targets[0])  # so that laws that make no sense are told before any is solved
         return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
 
     followers = {label: make_follower(label) for label in family}

@@ -118,6 +118,6 @@ def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray
     rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
     if np.any(rigid):
         inverse = scipy.linalg.pinvh(model.mass)  # other coordinates may have no mass
-        mobility[rigid] = np.einsum("mn,nk,mk->m", rows[rigid], inverse, rows[rigid])
+        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].T)
         elastic[rigid] = 0.0
     return elastic, mobility

@@ -267,12 +267,12 @@ def draw_curves(
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
     for k, (name, values) in enumerate(series.items()):
-        colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
+        colour, values = FLANK_COLOURS[k % len(FLANK_COLOURS)], np.asarray(values)
         axes.plot([], [], ".-", color=colour, linewidth=1.2, label=name)
         for style, run in _cut_into_lines(breaks, hollow):
-            axes.plot(x[run], np.asarray(values)[run], style, color=colour, linewidth=1.2)
-        axes.plot(x[~hollow], np.asarray(values)[~hollow], ".", color=colour)
-        axes.plot(x[hollow], np.asarray(values)[hollow], linestyle="", color=colour, **empty)
+            axes.plot(x[run], values[run], style, color=colour, linewidth=1.2)
+        axes.plot(x[~hollow], values[~hollow], ".", color=colour)
+        axes.plot(x[hollow], values[hollow], linestyle="", color=colour, **empty)
     if np.any(hollow):
         axes.plot([], [], "--", color="0.3", linewidth=1.2, label="unstable", **empty)
     axes.set_xlabel(across)

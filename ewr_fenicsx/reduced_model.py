@@ -29,6 +29,7 @@ from ewr_fenicsx.given import read_harmonic, read_numbers
 RealArray = np.ndarray
 ComplexArray = np.ndarray
 
+ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
@@ -160,7 +161,7 @@ class ReducedModel:
         """Write the model to an HDF5 file, replacing it."""
         with h5py.File(path, "w") as file:
             file.attrs["format"] = _FORMAT
-            for name in ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes"):
+            for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:
                     file[name] = value
             for group, entries in (("load", self.load), ("outputs", self.outputs)):

@@ -96,12 +96,8 @@ class PeriodicSolution:
     @cached_property
     def excitation(self) -> ComplexArray:
         """Amplitudes of all forces that are given, on the reduced coordinates, ``(n_h, n)``: loads, preloads [N]."""
-        problem, model = self.problem, self.problem.model
-        given = np.array([problem.loads.get(h, np.zeros(model.size)) for h in self.orders], dtype=complex)
-        for h, pressed in problem.system.prescribed.items():
-            if h in self.orders and model.normal is not None:
-                given[self.orders.index(h)] += model.normal.T @ pressed
-        return given
+        nothing = np.zeros(self.problem.model.size, dtype=complex)
+        return np.array([self.problem.excitation.get(h, nothing) for h in self.orders])
 
     @cached_property
     def histories(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from ewr_fenicsx.archard import SAMPLES
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.gathering import vertex_interpolation
+from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.output import spread_over_interface, write_series
 from ewr_fenicsx.wear import WearHistory
 
@@ -33,7 +34,7 @@ def tabulate_wear_fields(history: WearHistory) -> dict[str, RealArray]:
     for i, solution in enumerate(history.solutions):
         force = np.maximum(0.0, solution.history("normal_force", SAMPLES))
         pressure[i] = force.mean(axis=0) / solution.problem.model.pair_area
-        sliding[i] = solution.sliding_speed(SAMPLES).mean(axis=0) / solution.problem.frequency
+        sliding[i] = measure_sliding(solution.sliding_speed(SAMPLES), 1 / solution.problem.frequency)
     indicator = np.broadcast_to(sliding.mean(axis=1)[:, None], sliding.shape)
     values = (history.gap, pressure, sliding, indicator)
     return dict(zip(WEAR_FIELDS, values, strict=True))

@@ -16,12 +16,11 @@ import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
-from ewr_fenicsx.reduced_model import ReducedModel, read_reduced_model
+from ewr_fenicsx.reduced_model import ARRAYS, ReducedModel, read_reduced_model
 from ewr_fenicsx.result_folder import on_rank_zero
 
 MODEL = "reduced_model.h5"  # marks the folder as one of these
 ROUNDING = 1e-8  # largest difference of a matrix that is the same, over its largest entry
-ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")
 
 
 def name_work_folder(results: Path) -> Path:
