@@ -1,0 +1,91 @@
+"""What docs/how_to.md says holds: its script reads the matrices of another code and finds the same motion."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+
+from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
+SCRIPT, READER = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+
+
+def to_scipy(matrix):
+    rows, columns, values = matrix.getValuesCSR()
+    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
+
+
+@pytest.fixture(scope="module")
+def blocks(tmp_path_factory):
+    """Two blocks, with the damping of the page's script."""
+    text = (ROOT / "demos" / "two_blocks.toml").read_text(encoding="utf-8").replace("../", f"{ROOT}/")
+    path = tmp_path_factory.mktemp("blocks") / "blocks.toml"
+    path.write_text(text + '\n[damping]\nkind = "rayleigh"\nalpha = 5.0\nbeta = 1e-7\n', encoding="utf-8")
+    return build_chain(load_scene(path))
+
+
+@pytest.fixture
+def exported(blocks, tmp_path, monkeypatch):
+    """The blocks' matrices, pairs and loads in the files that the script reads, as another code would write them."""
+    monkeypatch.chdir(tmp_path)
+    structure, interface = blocks.structure, blocks.interface
+    free = np.setdiff1d(np.arange(structure.mass.getSize()[0]), structure.fixed_dofs)
+    row_of = {int(dof): row for row, dof in enumerate(free)}
+    matrices = {"M.mtx": structure.mass, "K.mtx": structure.stiffness}
+    for name, matrix in matrices.items():
+        scipy.io.mmwrite(name, to_scipy(matrix)[free][:, free])
+    nodes = zip(interface.nodes_a, interface.nodes_b, strict=True)
+    joined = [[row_of[2 * int(a)], row_of[2 * int(b)]] for a, b in nodes]
+    np.savetxt("pairs.csv", np.column_stack([joined, interface.normal, interface.area]), delimiter=",", header="a")
+    loads = {load.harmonic: load.amplitude.real * load.vector.array[free] for load in structure.loads}
+    columns = [loads[0], loads[1], structure.outputs["top"].array[free]]
+    np.savetxt("loads.csv", np.column_stack(columns), delimiter=",", header="static, shaking, followed")
+    return free
+
+
+def test_matrices_of_another_code_give_the_motion_of_the_scene(exported, blocks, capsys):
+    """To what either reduction, with modes and residual vectors of its own, leaves out."""
+    names: dict = {}
+    exec(compile(SCRIPT, "docs/how_to.md", "exec"), names)
+    assert "converged" in capsys.readouterr().out and Path("model.h5").is_file()
+    found, expected = names["solution"], solve(pose_problem(blocks.scene, blocks.reduction.model))
+    assert found.orders == expected.orders
+    np.testing.assert_allclose(
+        found.output("followed"), expected.output("top"), atol=1e-3 * abs(expected.output("top")).max()
+    )
+    assert found.merit["largest_normal_force"] == pytest.approx(expected.merit["largest_normal_force"], rel=1e-2)
+
+
+@pytest.mark.parametrize("halves", ["one triangle", "both triangles"])
+def test_abaqus_matrices_are_read(halves, tmp_path):
+    rng = np.random.default_rng(1)
+    matrix = rng.normal(size=(6, 6))
+    matrix += matrix.T
+    labels = [(node, dof) for node in (11, 7, 30) for dof in (1, 2)]
+    lines = [(*labels[i], *labels[j], matrix[i, j]) for i in range(6) for j in range(6) if halves[0] == "b" or j <= i]
+    np.savetxt(tmp_path / "JOB_STIF1.mtx", lines, delimiter=",", fmt=["%d", "%d", "%d", "%d", "%.17g"])
+    free = [0, 1, 3, 5]
+    row_of = {labels[i]: row for row, i in enumerate(free)}
+    names = {"np": np}
+    exec(compile(READER, "docs/how_to.md", "exec"), names)
+    read = names["read_abaqus"](tmp_path / "JOB_STIF1.mtx", row_of).toarray()
+    np.testing.assert_array_equal(read, matrix[np.ix_(free, free)])
+
+
+def test_what_the_page_names_exists():
+    for name in re.findall(r"\]\(([\w./]+)", PAGE):
+        assert (ROOT / "docs" / name).is_file(), name
+    for name in [*re.findall(r"`((?:geometry|demos)/[\w./]+)`", PAGE), "CITATION.cff"]:
+        assert (ROOT / name).is_file(), name
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    headings = [re.sub(r"[^\w -]", "", h).lower().replace(" ", "-") for h in re.findall(r"^## (.+)$", PAGE, re.M)]
+    linked = re.findall(r"how_to\.md#([\w-]+)", readme)
+    assert linked == headings
