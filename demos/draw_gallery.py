@@ -48,7 +48,10 @@ def draw_motion(axes, chain, solution):
     axes.add_collection(LineCollection(1e3 * cells.outline(stretch), colors=INK, linewidths=0.8))
     axes.plot(*(1e3 * chain.interface.position.T), ".", color=FLANK_COLOURS[0], markersize=2.5)
     axes.autoscale_view()
-    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"motion, {stretch:.0f} times")
+    (left, right), (below, above) = axes.get_xlim(), axes.get_ylim()
+    room = max(0.0, 0.3 * (right - left) - (above - below)) / 2  # a slender body would leave no room for numbers
+    axes.set_ylim(below - room, above + room)
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"motion, magnified {stretch:.0f} times")
 
 
 def draw_states(axes, chain, solution):
@@ -71,28 +74,35 @@ def draw_states(axes, chain, solution):
     axes.set(xlabel="time / period", ylabel="pair", title="what each pair does")
     axes.legend(
         handles=[Patch(facecolor=colour, edgecolor=INK, label=name) for name, colour in STATES.items()],
-        loc="upper left",
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.2),
+        ncols=len(STATES),
         fontsize=7,
-        framealpha=0.9,
     )
 
 
-def draw_curve(axes, x, y, across, along):
+def draw_curve(axes, x, y, across, along, title):
     """One curve."""
     axes.plot(x, y, ".-", color=FLANK_COLOURS[1], linewidth=1.2)
-    axes.set(xlabel=across, ylabel=along, title=along)
+    axes.set(xlabel=across, ylabel=along, title=title)
     axes.set_ylim(bottom=0.0)
 
 
 def draw_taps(axes, solution):
     """Gap and normal force of the joint over the period."""
     time = np.arange(SAMPLES) / SAMPLES
-    axes.plot(time, 1e6 * solution.history("gap", SAMPLES).mean(axis=1), color=FLANK_COLOURS[1], label="gap [µm]")
-    force = solution.history("normal_force", SAMPLES).sum(axis=1)
-    axes.plot(time, force / 20, color=FLANK_COLOURS[0], label="normal force [20 N]")
-    axes.axhline(0.0, color=INK, linewidth=0.6)
+    force = 1e-3 * solution.history("normal_force", SAMPLES).sum(axis=1)
+    gap = 1e6 * solution.history("gap", SAMPLES).mean(axis=1)
+    forces = axes.twinx()
+    for side, values, colour, label in (
+        (axes, gap, FLANK_COLOURS[1], "mean gap [µm]"),
+        (forces, force, FLANK_COLOURS[0], "normal force, all pairs [kN]"),
+    ):
+        side.plot(time, values, color=colour)
+        side.set_ylim(-0.1 * values.max(), 1.05 * values.max())  # zero at the same height on both sides
+        side.set_ylabel(label, color=colour)
     axes.set(xlabel="time / period", title="gap and normal force")
-    axes.legend(fontsize=7)
+    axes.axhline(0.0, color=INK, linewidth=0.6)
 
 
 def draw_scene(name: str) -> str:
@@ -105,9 +115,11 @@ def draw_scene(name: str) -> str:
     left, right = figure.subplots(1, 2)
     draw_motion(left, study.chain, study.solution)
     if len(scene.frequencies) > 1:
-        draw_curve(right, *study.curve, "frequency [Hz]", "tip, rms [m]")
+        frequencies, rms = study.curve
+        draw_curve(right, frequencies, 1e3 * rms, "frequency [Hz]", "rms of the tip [mm]", "response")
     elif scene.wear:
-        draw_curve(right, *study.curve, "cycles", "mean worn depth [m]")
+        cycles, depth = study.curve
+        draw_curve(right, cycles, 1e6 * depth, "cycles", "mean worn depth [µm]", "wear")
     elif scene.contact.tangential == "frictionless":
         draw_taps(right, study.solution)
     else:

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from study import AGREES, RESULTS, judge, report, timed
 
 from ewr_fenicsx import Tolerance, evolve_wear, load_scene
+from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.wear_fields import write_wear_fields
 
@@ -28,8 +29,8 @@ ONE_PERCENT = Tolerance(share=0.01)
 
 # %% [markdown]
 # ## Figures of a worn flank
-# Each flank's pairs from the outer to the inner edge. "Peripheral" are the pairs in the outer and inner quarter of the
-# flank, "central" those of the half between; depths are means over their areas.
+# Places along a flank run from its innermost pair to its outermost. "Peripheral" are the pairs in the first and in the
+# last quarter of that length, "central" those of the half between; depths are means over their areas.
 
 
 # %%
@@ -60,6 +61,8 @@ def main(folder: Path = RESULTS / "fretting_wear", cycles: int = CYCLES, frictio
     figures["in jumps: seconds"], figures["in jumps: solves"] = figures.pop("seconds"), jumped.solves
     deepest = every.depth[-1].max()
     figures["in jumps: error over the deepest wear"] = float(np.abs(jumped.depth[-1] - every.depth[-1]).max() / deepest)
+    stiffness = find_wear_stiffness(every.steps[-1].solution, every.coefficient)
+    figures["longest stable undamped jump, worn [cycles]"] = round(find_explicit_limit(stiffness), 1)
     figures["deepest [µm]"] = round(1e6 * deepest, 3)
     figures["J_T at first, at last [µm]"] = np.round(1e6 * every.figure("J_T")[[0, -1]], 2).tolist()
     figures["volume [mm³]"] = round(1e9 * every.total_volume[-1], 5)
@@ -164,11 +167,12 @@ def draw(path: Path, every, higher: dict, flanks: dict, outward: np.ndarray) -> 
         axes.set_title("top left, over its mean depth" if scaled else "top left, by friction")
     grid[2, 0].set_yscale("symlog", linthresh=0.01)
     grid[2, 0].set_ylabel("worn surface [µm]")
+    grid[2, 1].set_ylabel("worn surface / mean depth")
     for axes in grid.flat:
         axes.set_xlabel("place along the flank: 0 innermost, 1 outermost")
-    for axes in grid[:, 0]:
+    for axes in (*grid[:, 0], grid[2, 1]):  # left flanks, as in the root: outer edges outside
         axes.invert_xaxis()
-    grid[0, 1].legend(fontsize=7, ncols=5, loc="upper center", columnspacing=0.8, handlelength=1.0)
+    grid[0, 1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=100)
 
 
@@ -185,6 +189,7 @@ def check(figures: dict, verdicts: list, every, jumped) -> None:
         assert jumped.solves < 0.05 * every.solves
     assert np.all(np.diff(every.depth, axis=0) >= 0)
     assert 1 < figures["J_T at first, at last [µm]"][0] < 50
+    assert 1 < figures["longest stable undamped jump, worn [cycles]"] < 30
     assert verdicts[1].verdict == verdicts[3].verdict == AGREES
 
 

@@ -147,7 +147,7 @@ def draw(path: Path, by_friction: dict, by_frequency: dict) -> None:
             line[1].plot(history.cycles, 1e3 * history.figure("rms_tip"), color=colour, label=label)
         line[0].set(ylabel="J_T [µm a cycle]", title=title, ylim=(0, None))
         line[1].set(ylabel="RMS of the tip [mm]", title=title, ylim=(0, None))
-        line[1].legend(fontsize=8, ncols=2)
+        line[1].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for axes in grid[-1]:
         axes.set_xlabel("cycles")
     figure.savefig(path, dpi=100)

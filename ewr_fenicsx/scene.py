@@ -102,8 +102,8 @@ class RatioDamping(Section):
 class ModalDamping(Section):
     """The same ratio of critical damping for every mode of the open joint.
 
-    So have the lowest modes of the stuck joint, where it holds a body that floats without it; its others have somewhat
-    less. `ewr info` tells the ratio of the first stuck mode.
+    Where the joint holds a body that would otherwise float, the lowest modes of the stuck joint have this ratio too;
+    its other modes have somewhat less. `ewr info` tells the ratio of the first stuck mode.
     """
 
     kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")
@@ -170,7 +170,7 @@ class Reduction(Section):
     """Component mode synthesis."""
 
     modes: Integer = entry(
-        30, "-", "Fixed-interface modes kept; where an accuracy is asked for, to begin with: they are raised.", ge=1
+        30, "-", "Fixed-interface modes kept; with an accuracy only to begin with: more are added as needed.", ge=1
     )
 
 
@@ -211,7 +211,7 @@ Frequency = Annotated[
 
 
 class Excitation(Section):
-    """What repeats. Only a scene without an oscillating load does without a frequency."""
+    """The period of the motion. Required unless no load oscillates."""
 
     frequency: Frequency = entry(
         None, "Hz", "Frequency of harmonic 1; a list, or a table `from`, `to`, `points`, is a sweep."
@@ -252,7 +252,8 @@ class Wear(Section):
     tolerance: Number | None = entry(
         None,
         "-",
-        "Largest error of a cycle jump as a share of the final depth; by default the accuracy, or every cycle.",
+        "Largest error that jumps over cycles may cause, as a share of the final depth; by default the solver's "
+        "accuracy, and without one every cycle is solved.",
         gt=0,
         lt=1,
     )
@@ -264,8 +265,8 @@ class Solver(Section):
     accuracy: Number | None = entry(
         None,
         "-",
-        "Largest relative error of the outputs' oscillation, at every frequency of a sweep, and of the wear rate; "
-        "harmonics, samples, weights and modes are then chosen.",
+        "Largest relative error of the outputs' oscillation, at every frequency of a sweep, and of the wear rate; the "
+        "solver then chooses harmonics, samples, weights and modes.",
         gt=0,
         lt=1,
     )
@@ -276,10 +277,10 @@ class Solver(Section):
         None, "-", "Time samples a period; by default enough for the harmonics.", ge=3, le=MOST_SAMPLES
     )
     rho_normal: Number | None = entry(
-        None, "N/m", "Normal parameter of the equality form; by default from the compliance.", gt=0
+        None, "N/m", "Weight rho_N of the normal law (`docs/method.md`); by default from the compliance.", gt=0
     )
     rho_tangential: Number | None = entry(
-        None, "m/(N s)", "Tangential parameter; by default from the compliance.", gt=0
+        None, "m/(N s)", "Weight rho_T of the friction law (`docs/method.md`); by default from the compliance.", gt=0
     )
     tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", ge=1e-13, le=1e-3)
 

@@ -52,8 +52,8 @@ READ_BY = {
 class Contact(Section):
     """The joint between two bodies and its laws."""
 
-    body_a: str = entry("blade", "-", "The body whose outward normal counts.")
-    body_b: str = entry("disk", "-", "The body it rests on.")
+    body_a: str = entry("blade", "-", "Body A: normals point out of it, and friction forces are those on it.")
+    body_b: str = entry("disk", "-", "Body B, on which it rests.")
     flanks: tuple[str, ...] | None = entry(None, "-", "Boundaries in contact; by default all that both bodies share.")
     law_files: tuple[Path, ...] = entry(
         (), "-", "Python files that register laws of your own (`docs/adding_a_law.md`); relative to the scene file."
@@ -66,7 +66,7 @@ class Contact(Section):
     tangential: Tangential = entry(
         "coulomb", "-", "Tangential law: `coulomb`, `frictionless`, `bonded`, or one of your own."
     )
-    parameters: Parameters = Field({}, description="What laws of your own want to know, by the names they give it.")
+    parameters: Parameters = Field({}, description="Parameters of laws of your own, by name.")
     friction: Number = entry(0.2, "-", "Coefficient of friction, for the law `coulomb`.", ge=0)
     static_friction: StaticFriction = entry(
         "resolved", "-", "Mean friction force: solved for, or set to zero as in the paper."
@@ -102,7 +102,7 @@ class Flank(Section):
 
     normal: Normal | None = entry(None, "-", "Normal law of this flank.")
     tangential: Tangential | None = entry(None, "-", "Tangential law of this flank.")
-    parameters: Parameters | None = entry(None, "-", "What laws of your own want to know on this flank.")
+    parameters: Parameters | None = entry(None, "-", "Parameters of laws of your own on this flank.")
     friction: Number | None = entry(None, "-", "Coefficient of friction of this flank.", ge=0)
     static_friction: StaticFriction | None = entry(None, "-", "Mean friction force of this flank.")
     initial_gap: Number | None = entry(None, "m", "Initial clearance of this flank's pairs.", ge=0)

@@ -19,17 +19,19 @@ from ewr_fenicsx.scene import Scene, Section
 _INTRODUCTION = """\
 # Scene files
 
-A scene is a TOML file: what the joint is, how it is loaded, what to solve. `ewr info SCENE` checks it and tells what it
-holds, `ewr run SCENE` solves it. The same names build a scene in Python: `Scene(geometry=..., loads=...)`.
+A scene is a TOML file that says what the joint is, how it is loaded, and what to solve. `ewr info SCENE` checks it and
+shows what it holds, `ewr run SCENE` solves it. In Python the same names build a scene:
+`ewr_fenicsx.scene.Scene(geometry=..., loads=...)`.
 
-Only the keys without a default must be given. Paths are relative to the scene file. An unknown key is an error that
-names the nearest known one. `NAME` stands for a name of your choice, `BODY` for a body of the geometry.
+Only keys marked **required** must be given. Paths are relative to the scene file. An unknown key is an error that
+names the nearest known one. `NAME` stands for a name of your choice, `BODY` for a body of the geometry; boundaries,
+bodies and flanks have the names that the geometry gives them.
 
-A complete scene:
+A complete scene, as a file in the root of this repository:
 
 ```toml
 [geometry]
-source = "fir_tree.py"
+source = "geometry/fir_tree.py"
 
 [loads.pull]
 boundary = "tip"
@@ -44,7 +46,7 @@ harmonic = 1
 frequency = 1000.0
 ```
 
-Flanks may differ in their laws: `[flanks.NAME]` says what is special about one, `[contact]` what holds on all others.
+Flanks may differ in their laws: `[flanks.NAME]` says what is special about one, `[contact]` what holds everywhere else.
 
 ```toml
 [contact]
@@ -72,11 +74,11 @@ cycles = 3000
 tolerance = 0.01          # jumps over cycles; without it every cycle is solved
 ```
 
-Entries that contradict each other are an error, combinations that were probably not meant a warning; each says what the
-scene would mean.
+Entries that contradict each other are an error, and combinations that were probably not meant a warning; both say what
+the scene would mean.
 
-Editors with TOML support complete and check scenes that begin with `#:schema`, followed by the path or address of
-`docs/scene.schema.json`.
+Editors with TOML support complete and check keys in scenes whose first line is `#:schema`, followed by the path or
+address of `docs/scene.schema.json`.
 
 This page and the schema are generated from `ewr_fenicsx/scene.py`: `python -m ewr_fenicsx.scene_reference docs`.
 """

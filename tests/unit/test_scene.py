@@ -199,7 +199,7 @@ def test_reference_page_is_the_one_generated_from_the_definition():
 
 def test_example_of_the_reference_page_is_a_scene(read):
     example = re.search(r"```toml\n(.*?)```", write_reference(), re.DOTALL).group(1)
-    assert read(example.replace("fir_tree.py", "builder.py")).excitation.frequency == 1000
+    assert read(example.replace("geometry/fir_tree.py", "builder.py")).excitation.frequency == 1000
 
 
 def test_schema_closes_every_table():
