@@ -21,6 +21,7 @@ from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from ewr_fenicsx import __version__
 from ewr_fenicsx.errors import EwrError, UnheldBody
 from ewr_fenicsx.scene import Scene, load_scene
 
@@ -51,28 +52,44 @@ def main(argv: Sequence[str] | None = None) -> int:
 def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
     """Arguments of ``ewr``, and those left for PETSc: unknown ones with a single dash, after the scene."""
     parser = argparse.ArgumentParser(
-        prog="ewr", description="Contact and friction in vibrating joints, by harmonic balance."
+        prog="ewr",
+        description="Contact, friction and wear in vibrating joints, by harmonic balance.",
+        epilog="ewr COMMAND --help tells more. Exit codes: 0 done, 2 something that you can mend, 3 no solution found.",
     )
+    parser.add_argument("--version", action="version", version=f"ewr_fenicsx {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     run = commands.add_parser(
         "run",
         help="solve a scene and write its results",
+        description="Solve a scene and write files, fields and pictures. Begin an interrupted sweep or wear run again "
+        "with the same command: it goes on from where it was.",
         epilog="Options with a single dash after the scene go to PETSc, e.g. -ewr_snes_monitor.",
         allow_abbrev=False,
     )
     run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml); docs/scenes.md lists its keys")
     run.add_argument("--out", type=Path, metavar="DIR", help="result folder; by default results/NAME beside the scene")
     run.add_argument("--overwrite", action="store_true", help="replace an earlier result folder")
-    info = commands.add_parser("info", help="print what a scene holds, without solving it", allow_abbrev=False)
+    info = commands.add_parser(
+        "info",
+        help="check a scene and print what it holds, without solving it",
+        description="Check a scene and print counts, and which effects it has, why, and what they cost.",
+        allow_abbrev=False,
+    )
     info.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
     info.add_argument("--out", type=Path, metavar="DIR", help="result folder of an earlier run, for its times")
     cost = commands.add_parser(
-        "cost", help="what accuracy costs: turn the solver's knobs one at a time", allow_abbrev=False
+        "cost",
+        help="what accuracy costs: vary the solver's settings one at a time",
+        description="Error and time of many settings of the solver (harmonics, samples, weights, tolerance), one varied "
+        "at a time, against a finer solution.",
+        allow_abbrev=False,
     )
     cost.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")
-    cost.add_argument("--out", type=Path, metavar="DIR", help="folder of the table and the picture; results/NAME_cost")
+    where = "folder of the table and the picture; by default results/NAME_cost beside the scene"
+    cost.add_argument("--out", type=Path, metavar="DIR", help=where)
     cost.add_argument("--overwrite", action="store_true", help="replace the table and picture of an earlier survey")
-    cost.add_argument("--time-stepping", action="store_true", help="compare with time stepping: slower, independent")
+    reference = "take time stepping as the reference: slower, but independent"
+    cost.add_argument("--time-stepping", action="store_true", help=reference)
     arguments, rest = parser.parse_known_args(argv)
     own = [name.replace("_", "-") for name in vars(arguments) if name not in ("command", "scene")]
     for option in rest:  # PETSc takes whatever it is given, and says nothing
@@ -163,13 +180,17 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     with name_place(scene, chain.interface):
         report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
     if comm.rank == 0:
-        console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-        table = Table("knob", box=None, pad_edge=False, header_style="bold")
+        console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("knob", no_wrap=True)
         for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
             table.add_column(header, justify="right")
         for row in report.rows:
             cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
             table.add_row(escape(row["knob"]), *cells, *(f"{error:.1e}" for error in row["errors"].values()))
+        console.print(
+            "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time"
+        )
         console.print(table)
         print(report.told, flush=True)  # before anything that drawing may stumble over
         print(*report.write(folder), sep="\n")

@@ -85,10 +85,11 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     told = [
         f"at {problem.frequency:g} Hz" + (f", the first of the sweep's {several} frequencies" if several > 1 else "")
     ]
-    told += [f"reference: {name}; its own error is thought to be {own:.1g}"]
+    told += [f"reference: {name}; its own error is estimated at {own:.1g}"]
     for level in LEVELS:
         if level < own:
-            told.append(f"  {level:>6.1%}: the reference is not good enough to tell")
+            better = "" if against_time_stepping else "; --time-stepping is a better one"
+            told.append(f"  {level:>6.1%}: the reference is not good enough to tell{better}")
             continue
         best = choose_cheapest([row for row in rows if row["knob"].startswith("N")], "output", level)
         told.append(f"  {level:>6.1%}: " + ("none of the settings tried" if best is None else _tell(best)))
