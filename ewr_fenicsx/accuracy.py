@@ -109,28 +109,29 @@ def solve_to_accuracy(
     most_modes: int = MOST_MODES,
     figure: Figure | None = None,
 ) -> AccurateSolution:
-    """Periodic solution whose outputs are as accurate as asked: the knobs are chosen, and the estimate reported.
+    """Periodic solution whose outputs are as accurate as asked, with an estimate of their error.
 
-    Starts with few harmonics and samples, estimates the error and raises the knob that dominates, each solve started
-    at the one before. Harmonics whose contact forces do not matter are left out on the way.
+    Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
+    modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
 
     Args:
-        problem: The problem; its own harmonics and samples are not looked at, weights that it gives are kept.
+        problem: The problem; its own harmonics and samples are not used, weights that it gives are kept.
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
         first: Highest harmonic of the first solve, unless loads need more.
         highest: Highest harmonic that may be used.
         most_unknowns: Unknowns a solve may have.
-        modes: Which coordinates of the model are modal, by rising frequency, so that the error by those left out is
-            estimated. None: it is not looked at.
+        modes: Which coordinates of the model are modal, by rising frequency, so that the error by the modes left out
+            can be estimated. Empty: that error is not looked at.
         more_modes: Number of modes -> the problem on a model that keeps so many, with the same pairs, and which of its
             coordinates they are. None: modes that are too few are a limit.
         most_modes: Modes that ``more_modes`` may be asked for.
-        figure: What is to be as accurate as the outputs, by its largest error over its largest value; None: nothing.
+        figure: Function of a solution whose values are to be as accurate as the outputs, by the largest error over the
+            largest value; None: nothing besides the outputs.
 
     Returns:
-        The last solution. What could not be reached is said by ``reached`` and ``limit``.
+        The last solution. ``reached`` and ``limit`` say whether the accuracy was reached, and if not, why.
 
     Raises:
         ModelError: The accuracy is not between 0 and 1.

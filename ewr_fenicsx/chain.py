@@ -125,7 +125,12 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
 
 
 def build_reduced_model(scene: Scene) -> ReducedModel:
-    """The reduced model of a scene.
+    """The reduced model of a scene: matrices, contact rows, loads and outputs.
+
+    Laws, frequency and harmonics stay in the scene: ``pose_problem`` makes a problem of both.
+
+    Args:
+        scene: As ``load_scene`` returns it.
 
     Raises:
         EwrError: As ``build_chain``.

@@ -80,8 +80,8 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     cost = commands.add_parser(
         "cost",
         help="what accuracy costs: vary the solver's settings one at a time",
-        description="Error and time of many settings of the solver (harmonics, samples, weights, tolerance), one varied "
-        "at a time, against a finer solution.",
+        description="Error and time of many settings of the solver (harmonics, samples, weights, tolerance), one "
+        "varied at a time, against a finer solution.",
         allow_abbrev=False,
     )
     cost.add_argument("scene", type=Path, metavar="SCENE", help="scene file (.toml)")

@@ -40,7 +40,7 @@ class ContactProblem:
         laws: One ``ContactLaws`` for all pairs, or a sequence of ``(pairs, ContactLaws)`` that covers each pair once.
         frequency: Excitation frequency [Hz].
         harmonics: Highest harmonic N (0..N are kept) or a list of harmonics.
-        samples: Samples a period for the laws; None chooses.
+        samples: Samples a period for the laws; None: 32 a highest harmonic or more (a power of two), at least 128.
         rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.

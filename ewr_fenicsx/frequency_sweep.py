@@ -196,7 +196,7 @@ def frequency_response(
     Args:
         model: The structure, the same on every rank.
         laws: Laws at the pairs; or several by the value of a parameter, ``{mu: ContactLaws(friction=mu), ...}``.
-        frequencies: Rising [Hz]; a single number is one. The curve has a solution at each and, where it folds, those
+        frequencies: Rising [Hz]; a single number will do. The curve has a solution at each and, where it folds, those
             of the fold as well.
         harmonics: As in ``ContactProblem``.
         progress: Whether rank 0 shows how far it is and how long the rest will take.

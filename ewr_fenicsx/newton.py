@@ -68,6 +68,9 @@ def solve(
             and leaves it to PETSc's KSP. Both take the same steps.
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
+    Returns:
+        The solution: motions, contact forces and figures of merit, and how it was found.
+
     Raises:
         ModelError: ``start`` is no solution or has another number of pairs, the tolerance is out of bounds, or there is
             no such ``linear_solver``.

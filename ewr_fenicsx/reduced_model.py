@@ -41,14 +41,15 @@ class ReducedModel:
     """Matrices, contact rows and loads of a structure in ``n`` coordinates.
 
     Args:
-        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse [kg, N s/m, N/m]. Mass and stiffness symmetric,
-            positive semidefinite; damping any: gyroscopic where skew, and feeding motions, as flutter, where negative.
+        mass, damping, stiffness: ``(n, n)`` real, dense or scipy sparse, kept dense [kg, N s/m, N/m]. Mass and
+            stiffness are symmetric and positive semidefinite; damping need not be: skew parts are gyroscopic, negative
+            ones feed a motion, as in flutter.
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
         tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major; or None.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
         pair_area: ``(K_c,)`` tributary area of each pair [m^2]; ones by default.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
-        outputs: Name -> ``(n,)`` row of a quantity to follow.
+        outputs: Name -> ``(n,)`` row of a quantity to follow, ``row @ x``.
 
     Raises:
         ModelError: Shapes disagree, a matrix is not finite, symmetric or positive semidefinite, or ``rigid_modes``

@@ -375,7 +375,7 @@ def load_scene(path: str | Path, *, warn: bool = True) -> Scene:
 
     Args:
         path: TOML file. Paths inside it are relative to its folder.
-        warn: Whether what was probably not meant is told as a ``SceneWarning``; it is in ``Scene.doubts`` either way.
+        warn: Whether to issue a ``SceneWarning`` on what was probably not meant; ``Scene.doubts`` lists it either way.
 
     Raises:
         SceneError: The file cannot be read, is not TOML, or does not describe a scene.

@@ -45,15 +45,16 @@ GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear compl
 class Tolerance:
     """Error control of cycle jumps: how far the worn depth may be off at the end.
 
-    A jump over a part of all cycles may make the square root of that part of this error, as the first-order member of
-    the pair sees it. The sum of these exceeds the tolerance, but the second-order member, which is the one kept, is off
-    by far less.
+    A jump over a fraction f of all cycles may be off by sqrt(f) times this, as estimated by the first-order member of
+    the pair. Such errors may add up to more than the tolerance, but the second-order member, which is the one kept, is
+    off by far less.
 
     Args:
-        depth: In metres; or None.
-        share: Where ``depth`` is None: as a share of the deepest wear that is to be expected at the end.
+        depth: Largest error [m]; None: ``share`` says it.
+        share: Largest error where ``depth`` is None, over the deepest wear that is expected at the end.
         first: The first jump to try [cycles].
-        damped: Damped jumps, without a limit of stability; else explicit ones below it.
+        damped: Whether jumps are damped, and so stable at any length; else they are explicit, and kept below the limit
+            of stability.
 
     Raises:
         ModelError: A tolerance or jump that is not positive.
@@ -183,9 +184,9 @@ def evolve_wear(
 
     Args:
         problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
-        cycles: How many to follow.
+        cycles: Number of cycles to follow.
         coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear.
-        jump: Error control of cycle jumps; None: every cycle is solved.
+        jump: Error control of jumps over many cycles at once; None: every cycle is solved.
         keep_every: Steps are kept at least so many cycles apart; the first and last always are.
         deepest: Stop where some pair has worn deeper than this [m].
         file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however
@@ -196,6 +197,9 @@ def evolve_wear(
             again at every step that is kept, and raised where they no longer do. None: those of the problem.
         progress: Whether to show how many cycles are done and how long the rest will take.
         choice: Further arguments of ``solve_to_accuracy``, where an accuracy is asked for.
+
+    Returns:
+        Cycles, worn depths and solutions at the steps that are kept.
 
     Raises:
         ModelError: No pair can wear, or a number makes no sense; or more modes in a run that is to be resumed.
