@@ -274,7 +274,11 @@ class Solver(Section):
         5, "-", "Highest harmonic N (0 to N are used), or a list of harmonics; contact that opens needs 0."
     )
     samples: Integer | None = entry(
-        None, "-", "Time samples a period; by default enough for the harmonics.", ge=3, le=MOST_SAMPLES
+        None,
+        "-",
+        "Time samples a period; by default 32 a highest harmonic or more, at least 128.",
+        ge=3,
+        le=MOST_SAMPLES,
     )
     rho_normal: Number | None = entry(
         None, "N/m", "Weight rho_N of the normal law (`docs/method.md`); by default from the compliance.", gt=0
