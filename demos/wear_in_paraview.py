@@ -42,6 +42,7 @@ worn.ScaleFactor = EXAGGERATION
 shown = Show(worn, view)
 shown.SetRepresentationType("Surface With Edges")
 shown.EdgeColor = [0.75, 0.75, 0.75]
+shown.Ambient, shown.Diffuse = 1.0, 0.0  # colours as in the bar, whatever the light
 label = Text()
 caption = Show(label, view)
 caption.Color, caption.FontSize = [0.0, 0.0, 0.0], 18

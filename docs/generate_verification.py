@@ -88,8 +88,8 @@ def compare_blade_root(frequency: float, load: float) -> tuple[str, list[list[ob
     opens = int((~pressed).any(axis=0).sum())
     moved = 100 * abs(tips[-1][0] - tip[0]) / abs(tip[0])
     state = f"""{frequency:g} Hz, {load:g} times the demo's shaking. Of {model.pairs} pairs {slips} slip and {opens}
-lift off at some time. Tip: {1e3 * abs(tip[0]):.5f} mm, extrapolated; {STEPS[-1]} steps a period, from which gaps
-and forces are taken, are {moved:.1g} % from it
+lift off at some time. Reference: the tip moves by {1e3 * abs(tip[0]):.5f} mm, extrapolated from {STEPS[-2]} and
+{STEPS[-1]} steps a period. With {STEPS[-1]} steps, which gaps and forces are compared with, it is {moved:.1g} % off
 ({"steady" if steady.converged else steady.reason}; {spent:.0f} s in all)."""
     rows = []
     for n, (solution, seconds) in zip(ORDERS, solutions, strict=True):
@@ -142,14 +142,14 @@ def describe_peers(found: dict) -> list[str]:
     return [
         f"""Two trusses pressed together and shaken (`benchmarks/peers.py`): the same matrices, law, frequencies,
 harmonics and {found["cases"][0]["samples"]} samples in `{found["requirement"]}` (dynamic-Lagrangian contact), as it
-comes and with its Jacobian mended; its best run of several penalties and solvers counts. The ratio is over the points
-that it solved.""",
+comes and with its Jacobian mended; its best run of several penalties and solvers counts. "Ratio" is its time over ours,
+at the points that it solved; "apart" is the difference of the two answers; "from steady" that from time stepping.""",
         "",
         write_table(header, [list(map(show_number, row)) for row in rows]),
         "",
-        """Answers, as harmonics are added: largest difference of the tip's first harmonic over a sweep. Where a pair
-never slips its mean friction is free within limits and the laws have neighbouring steady states; each answer is held
-against the one that time stepping reaches from it.""",
+        """The answers as harmonics are added: largest difference of the tip's first harmonic over a sweep. Where a pair
+never slips, its mean friction is free within limits and the laws have neighbouring steady states; each answer is
+compared with the one that time stepping reaches from it.""",
         "",
         write_table(
             [
@@ -169,8 +169,12 @@ against the one that time stepping reaches from it.""",
 def describe_times(found: dict) -> list[str]:
     """Times to a given error as Markdown."""
     return [
-        """Blade root, one thread, processor time (`benchmarks/against_time_stepping.py`). Time stepping plain and
-accelerated, from rest and from full stick, told by an oracle when to stop. Empty: not reached with the sizes tried.""",
+        """Blade root, one thread, processor time (`benchmarks/against_time_stepping.py`): harmonic balance with the
+smallest N from which on errors stay within the level, against time stepping plain and accelerated, from rest and from
+full stick. An oracle that knows the answer stops it as soon as it is within the level; "own stop" is by its own
+criterion. Ratios are time stepping's time
+over that of harmonic balance; "to reach" is the ratio that the project aims at. Empty: not reached with what was
+tried.""",
         "",
         write_table(list(found["summary"][0]), [list(map(show_number, row.values())) for row in found["summary"]]),
     ]
@@ -182,9 +186,10 @@ def describe_hard_cases(found: dict) -> list[str]:
     named = [[o["name"], o["status"], o["steps"], o["seconds"]] for o in found["degenerate"]]
     lines = [
         f"""A sample of the blade root and two smaller joints, cold and without tuning (`benchmarks/hard_cases.py`):
-frequencies from 0.3 to 3 times the first full-stick mode, full stick to flanks that lift off, friction 0.01 to 1.5,
-damping 1e-4 to 5e-2, gaps, weights rho a thousandfold off (`rho`: normal and tangential, over the defaults). Converged
-means a residual below 1e-8, evaluated anew; others end with a reason, or at {found["cap_seconds"]:g} s of work.""",
+frequencies from 0.3 to 3 times the first full-stick mode, loads from full stick to flanks that lift off, friction 0.01
+to 1.5, damping ratios 1e-4 to 5e-2, gaps, and weights rho up to a thousandfold off (`rho`: normal and tangential, over
+the defaults). Converged means a residual below 1e-8, evaluated anew; others end with a reason, or after
+{found["cap_seconds"]:g} s of work.""",
         "",
         write_table(["by", "", *found["columns"]], [list(map(show_number, row)) for row in rows]),
         "",
@@ -198,7 +203,8 @@ means a residual below 1e-8, evaluated anew; others end with a reason, or at {fo
         *lines,
         "",
         f"""Do those without a solution have a periodic motion at all? Stepped in time for hundreds of periods
-(`benchmarks/failures_in_time.py`), {told}: the median change from one period to the next, relative.""",
+(`benchmarks/failures_in_time.py`), their motions turn out {told}. The table shows the relative change of the motion
+from one period to the next (median).""",
         "",
         write_table(motions["header"], [list(map(show_number, row)) for row in motions["rows"]]),
     ]
@@ -210,8 +216,9 @@ def describe_newton_cost(found: dict) -> list[str]:
     keys += ["w steps", "c steps"]
     header = [*keys[:4], "dense solve, ms", *keys[5:9], "Newton steps, warm", "cold"]
     return [
-        """Whole solves of the blade root over **one** dense `numpy.linalg.solve` of the full system, in one process
-(`benchmarks/newton_cost.py`): warm from 1 % away in frequency, and cold. Medians over 500 to 1500 Hz.""",
+        """Time of a whole solve of the blade root over that of **one** dense `numpy.linalg.solve` of the full system,
+in one process (`benchmarks/newton_cost.py`): warm (from the solution 1 % away in frequency) and cold. Medians over 500
+to 1500 Hz.""",
         "",
         write_table(header, [[show_number(row[key]) for key in keys] for row in found["medians"]]),
     ]
@@ -229,9 +236,9 @@ Written by `docs/generate_verification.py`; do not edit. Times are processor sec
 `tests/verification`, which assert the errors and the rates at which they fall; sources and derivations are in the
 tests' docstrings.
 """
-BLADE_NOTE = """Harmonic solutions from cold with default settings, against the steady state of `integrate`, which
-shares no law with them. Errors: of the tip's first harmonic (complex amplitude, then its modulus), of the rms of the
-tip's oscillation; of gaps, normal and admissible friction forces in the root mean square over all pairs and a period,
+BLADE_NOTE = """Harmonic solutions from cold with default settings, against the steady state of `integrate`, whose
+contact laws are other code. Errors of the tip's first harmonic (complex amplitude, then its modulus) and of the rms of
+its oscillation; of gaps, normal forces and admissible friction forces as root mean squares over all pairs and a period,
 relative to their own. The cone violation is that of the truncated friction force, over the largest limit."""
 
 

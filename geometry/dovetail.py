@@ -6,7 +6,7 @@ trapezoidal foot. Coordinates in m; ``y`` points outwards, ``y = 0`` is the top 
                 |    |  blade
         ________|____|________  y = 0
         |   disk \\    / disk  |
-        |   right /    \\      |      <- the flank, on the lower part of the slot's wall
+        |    left /    \\ right|      <- the flanks, on the lower part of the slot's walls
         |       /______\\     |
         |____________________|
 
