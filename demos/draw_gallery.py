@@ -132,15 +132,19 @@ def draw_scene(name: str) -> str:
     table = "\n".join(f"| {e.name} | {e.unknowns or ''} | {e.why} |" for e in effects)
     return (
         f"## {scene.title}\n\n{' '.join(said)}\n\n![{scene.title}](pictures/gallery_{name}.png)\n\n"
-        f"`ewr run demos/{name}.toml`\n\n| effect | unknowns | from |\n|---|---|---|\n{table}\n"
+        f"`ewr run demos/{name}.toml`\n\n| effect | unknowns | set by |\n|---|---|---|\n{table}\n"
     )
 
 
 # %%
 PAGE = """# Gallery
 
-Six scenes, each solved within seconds, each run by the tests. `demos/draw_gallery.py` draws the pictures and writes
-this page. `demos/choose_your_effects.py` walks from a bonded joint to everything at once on one model.
+Six scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that a
+scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture the
+joint at the instant of its largest motion, dashed at rest.
+
+`demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded joint
+to everything at once on one model.
 
 """
 

@@ -28,7 +28,12 @@ INTRODUCTION = """# The paper's studies, on our fir tree
 The paper reports its Figures 4 to 9 on an industrial blade that is not public. Here each is repeated on this package's
 own fir tree (`geometry/fir_tree.py`) by a demo, and each statement of the paper is judged by the numbers of that demo:
 it *agrees* with what we see, *differs*, or *can't be told*. Nothing was tuned to look right. The two structures are not
-the same, and the paper does not say how hard its blade is pulled and shaken; so a difference is no error of either.
+the same, and the paper does not say how hard its blade is pulled and shaken; so a difference does not mean that either
+is wrong.
+
+mu is the coefficient of friction, N the highest harmonic, J_T the sliding distance a cycle and J_N the gap, both means
+over the pairs; all are defined in [method.md](method.md#figures-of-merit-solutionpy-indicatorspy). Flanks are named as in
+the picture at the top of the [README](../README.md). "Figures" below a table unfolds all numbers.
 
 Written by `tools/write_studies_page.py` from the demos' results; do not edit.
 """
