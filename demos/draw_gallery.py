@@ -143,8 +143,8 @@ Six scenes, each solved within seconds, each run by the tests. The tables are wh
 scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture the
 joint at the instant of its largest motion, dashed at rest.
 
-`demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded joint
-to everything at once on one model.
+`demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded
+joint to everything at once on one model.
 
 """
 

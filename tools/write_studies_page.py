@@ -32,8 +32,8 @@ the same, and the paper does not say how hard its blade is pulled and shaken; so
 is wrong.
 
 mu is the coefficient of friction, N the highest harmonic, J_T the sliding distance a cycle and J_N the gap, both means
-over the pairs; all are defined in [method.md](method.md#figures-of-merit-solutionpy-indicatorspy). Flanks are named as in
-the picture at the top of the [README](../README.md). "Figures" below a table unfolds all numbers.
+over the pairs; all are defined in [method.md](method.md#figures-of-merit-solutionpy-indicatorspy). Flanks are named as
+in the picture at the top of the [README](../README.md). "Figures" below a table unfolds all numbers.
 
 Written by `tools/write_studies_page.py` from the demos' results; do not edit.
 """
