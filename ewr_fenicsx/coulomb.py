@@ -36,7 +36,10 @@ class DryFriction(LawKind):
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:
         if tangents == 2:
-            raise ModelError('tangential = "coulomb" is friction along one line; this model has two tangents a pair')
+            raise ModelError(
+                'tangential = "coulomb" is friction along one line; this model has two tangents a pair: give rows of one, '
+                "or a law of your own for friction in the plane (docs/adding_a_law.md)"
+            )
         return ("tangential",)
 
     def bound_mean(self, spread) -> MeanBound:
