@@ -37,8 +37,8 @@ class DryFriction(LawKind):
     def acts_in(self, tangents: int) -> tuple[str, ...]:
         if tangents == 2:
             raise ModelError(
-                'tangential = "coulomb" is friction along one line; this model has two tangents a pair: give rows of one, '
-                "or a law of your own for friction in the plane (docs/adding_a_law.md)"
+                'tangential = "coulomb" is friction along one line; this model has two tangents a pair: give rows of '
+                "one, or a law of your own for friction in the plane (docs/adding_a_law.md)"
             )
         return ("tangential",)
 
