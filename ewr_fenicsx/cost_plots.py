@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ewr_fenicsx.cost import find_front, fit_slope
 
+ROOM = np.array([0.03, 0.025])  # of a label, in parts of the axes
 MARKS = "osD^vP*Xh<>p"
 COLOURS = ("#1d6fb8", "#c1121f", "#2a9d57", "#e08e0b", "#7b3fa0", "#444444", "#00838f", "#b5539c", "#8d6e2f", "#5577aa")
 
@@ -35,6 +37,7 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
             axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center")
             axes.set(xticks=[], yticks=[])
             continue
+        labelled = []
         for k, knob in enumerate(knobs):
             mine = [row for row in rows if row["knob"] == knob and row["converged"] and row["errors"][error] > 0]
             if not mine:
@@ -53,15 +56,9 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
                 alpha=0.85,
                 label=name,
             )
-            for row in mine if knob in ("N", "time steps") else ():
-                axes.annotate(
-                    f"{row['value']:g}",
-                    (row["seconds"], row["errors"][error]),
-                    xytext=(3, 4),
-                    textcoords="offset points",
-                    fontsize=7,
-                    color=COLOURS[k % len(COLOURS)],
-                )
+            if knob in ("N", "time steps"):
+                points = [(f"{row['value']:g}", row["seconds"], row["errors"][error]) for row in mine]
+                labelled += [(*point, COLOURS[k % len(COLOURS)]) for point in points]
         front = [rows[i] for i in find_front(rows, error) if rows[i]["errors"][error] > 0]
         axes.plot(
             [r["seconds"] for r in front],
@@ -74,9 +71,21 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
             label="Pareto front",
         )
         axes.set(xscale="log", yscale="log")
+        _label_points(axes, labelled)
         axes.grid(visible=True, which="major", alpha=0.3)
         axes.legend(fontsize=6.5, framealpha=0.7, title="knob (p): error ~ time^p", title_fontsize=6.5)
     for axes in list(grid.flat)[len(errors) :]:
         axes.set_visible(False)
     figure.suptitle(title)
     figure.savefig(path, dpi=90)
+
+
+def _label_points(axes: Axes, points: Sequence[tuple[str, float, float, str]]) -> None:
+    """Writes text beside points (text, x, y, colour), but not where it would lie on text already there."""
+    taken: list[np.ndarray] = []
+    for text, x, y, colour in points:
+        place = axes.transAxes.inverted().transform(axes.transData.transform((x, y)))
+        if any(np.all(np.abs(place - other) < ROOM) for other in taken):
+            continue
+        taken.append(place)
+        axes.annotate(text, (x, y), xytext=(3, 4), textcoords="offset points", fontsize=7, color=colour)

@@ -69,6 +69,16 @@ def test_commands_exist():
         assert not rest and (ROOT / arguments.scene).is_file()
 
 
+def test_one_version_everywhere(capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse_arguments(["--version"])
+    assert stop.value.code == 0
+    version = capsys.readouterr().out.split()[-1]
+    assert f'version = "{version}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## {version} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
 def test_files_exist():
     for name in re.findall(r"`([\w./]+\.(?:py|md|toml))`", README) + re.findall(r"\]\(([\w./]+)\)", README):
         assert (ROOT / name).is_file() or (ROOT / "ewr_fenicsx" / name).is_file(), name
