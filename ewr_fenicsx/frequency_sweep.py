@@ -44,7 +44,7 @@ from ewr_fenicsx.solution_store import (
     write_table,
 )
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
-from ewr_fenicsx.task_sharing import do_together, share_tasks
+from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
 
 BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"
@@ -268,7 +268,7 @@ def frequency_response(
                 curves[label], posed, targets, accuracy, tolerance, modes=modes, comm=comm, progress=progress
             )
     if folder is not None:
-        do_together(lambda: comm.rank or _write_results(Path(folder), curves), comm)  # rank 0 writes
+        do_on_rank_zero(lambda: _write_results(Path(folder), curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
 
 

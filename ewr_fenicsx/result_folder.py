@@ -14,6 +14,7 @@ from typing import TypeVar
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import OutputError
+from ewr_fenicsx.task_sharing import do_on_rank_zero
 
 SUMMARY = "summary.json"  # its key "files" names all files of the folder
 
@@ -66,23 +67,19 @@ def read_times(folder: Path, scene: Mapping) -> dict[str, float] | None:
 
 
 def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:
-    """Runs something on rank 0 alone; its value, or its ``OutputError``, is that of every rank.
+    """Does something with files on rank 0 alone; its value, or what it raises, is that of every rank.
 
     Raises:
         OutputError: ``action`` raised it, or an ``OSError``.
     """
-    value, error = None, None
-    if comm.rank == 0:
+
+    def name_failure() -> T:
         try:
-            value = action()
-        except OutputError as caught:
-            error = caught
-        except OSError as caught:
-            error = OutputError(f"cannot write results: {caught.filename or ''}: {caught.strerror}")
-    value, error = comm.bcast((value, error))
-    if error is not None:
-        raise error
-    return value
+            return action()
+        except OSError as error:
+            raise OutputError(f"cannot write results: {error.filename or ''}: {error.strerror}") from error
+
+    return do_on_rank_zero(name_failure, comm)
 
 
 def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:

@@ -48,7 +48,8 @@ def share_tasks(
                 take(len(tasks))  # nobody need begin another
     finally:
         take.free()
-    done = {k: result for results in _gather(mine, error, comm) for k, result in results.items()}
+    _raise_together(error, comm)
+    done = {k: result for results in comm.allgather(mine) for k, result in results.items()}
     return [done[k] for k in range(len(tasks))]
 
 
@@ -66,15 +67,26 @@ def do_together(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) ->
         result = action()
     except Exception as caught:
         error = caught
-    return _gather(result, error, comm)[comm.rank]
+    _raise_together(error, comm)
+    return result
 
 
-def _gather(own: Result, error: Exception | None, comm: MPI.Comm) -> list[Result]:
-    everyone = comm.allgather((own, error))
-    failed = [e for _, e in everyone if e is not None]
+def do_on_rank_zero(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) -> Result:
+    """Does something on rank 0 alone; collective.
+
+    Returns:
+        What it came to, on every rank.
+
+    Raises:
+        Exception: What it raised, on every rank.
+    """
+    return comm.bcast(do_together(lambda: action() if comm.rank == 0 else None, comm))
+
+
+def _raise_together(error: Exception | None, comm: MPI.Comm) -> None:
+    failed = [caught for caught in comm.allgather(error) if caught is not None]
     if failed:
         raise failed[0]
-    return [result for result, _ in everyone]
 
 
 class _Counter:
