@@ -27,7 +27,6 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
-from ewr_fenicsx.walking import WALKS
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -103,7 +102,7 @@ def solve(
         for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].reason}")
-            if attempts[-1].converged or attempts[-1].reason == WALKS:
+            if attempts[-1].converged or attempts[-1].walks:
                 break
             best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
     fallbacks = tuple(tried) if len(tried) > 1 else ()
@@ -114,7 +113,7 @@ def solve(
         solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
-        advice = list_remedies(problem) if solution.reason != WALKS else ""
+        advice = "" if attempts[-1].walks else list_remedies(problem)
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
             f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}{advice}",

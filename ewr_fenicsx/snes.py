@@ -30,13 +30,17 @@ FAR_TOLERANCE, CLOSE_TOLERANCE = 0.25, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One run from one start: scaled unknowns, residual norm, Newton steps, and why it stopped."""
+    """One run from one start: scaled unknowns, residual norm, Newton steps, and why it stopped.
+
+    ``walks``: what it found is no periodic motion, and no other way to one is worth trying (``walking.py``).
+    """
 
     unknowns: RealArray
     residual: float
     iterations: int
     reason: str
     converged: bool
+    walks: bool = False
 
 
 def run_newton(
@@ -93,7 +97,7 @@ def run_newton(
             item.destroy()
     residual = float(np.linalg.norm(balance.residual(found)))
     if residual <= tolerance and walks(balance, found):
-        return Attempt(found, residual, steps, WALKS, False)
+        return Attempt(found, residual, steps, WALKS, False, walks=True)
     return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)
 
 
