@@ -236,23 +236,19 @@ class PeriodicSolution:
         enforced; energies over a period [J] and their imbalance [-]; sliding a cycle, a mean over the pairs, and mean
         gap, over those that may part [m]; RMS of outputs in their own units.
         """
-        problem, model = self.problem, self.problem.model
+        problem, model, count = self.problem, self.problem.model, self.problem.basis.samples
         omega = problem.omega or 1.0
         viscous = self._rate * (self.coordinates @ model.damping.T)
-        sampled = {name: self.history(name, problem.basis.samples) for name in HISTORIES}
-        fine = sampled
-        if problem.basis.samples < FINE:
-            fine = {name: self.history(name, FINE) for name in ("gap", "normal_force", "friction_force")}
+        fine = {name: self.history(name, max(count, FINE)) for name in ("gap", "normal_force", "friction_force")}
         friction, unilateral = problem.friction, problem.opens
-        gaps = indicators.measure_separation(sampled["gap"][:, unilateral])
+        gaps = indicators.measure_separation(self.history("gap", count)[:, unilateral])
         slides = friction > 0
         rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
         work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        rubbed = 0.0 - period * np.sum(
-            np.mean(sampled["admissible_friction_force"] * sampled["slip_velocity"], axis=0)[rubs]
-        )
+        power = self.history("admissible_friction_force", count) * self.history("slip_velocity", count)
+        rubbed = 0.0 - period * np.sum(np.mean(power, axis=0)[rubs])
         for direction in model.tangent_directions[1:]:  # of truncated and admissible force, the law makes them one
             acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
             force, slip = self.pair_forces[direction][:, acts], self.slip_amplitudes[direction][:, acts]
@@ -269,7 +265,7 @@ class PeriodicSolution:
             "viscous_dissipation": dissipated,
             "friction_dissipation": float(rubbed),
             "energy_error": (work - dissipated - float(rubbed)) / scale,
-            "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(problem.basis.samples), period))),
+            "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(count), period))),
             "J_N": float(np.mean(gaps)) if gaps.size else 0.0,
         }
         for name in model.outputs:
