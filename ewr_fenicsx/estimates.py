@@ -152,14 +152,14 @@ def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None, fig
     return np.inf if moved is None else measure_distance(moved, solution, figure)
 
 
-def raise_harmonics(problem: ContactProblem, orders: tuple[int, ...] | None = None) -> ContactProblem:
-    """The problem with all harmonics up to half as high again, or with ``orders``, and samples to match."""
+def raise_harmonics(problem: ContactProblem) -> ContactProblem:
+    """The problem with all harmonics up to half as high again, and samples to match."""
     highest = problem.basis.orders[-1]
-    raised = highest + max(highest // 2 + 2, LEAST_LOOKAHEAD) - 1 if orders is None else orders[-1]
+    raised = highest + max(highest // 2 + 2, LEAST_LOOKAHEAD) - 1
+    # a number leaves out what is zero by symmetry, a list does not
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
-    chosen = everything if orders is None else orders  # a number leaves out what is zero by symmetry
-    return replace(problem, harmonics=chosen, samples=choose_samples(raised, density))
+    return replace(problem, harmonics=everything, samples=choose_samples(raised, density))
 
 
 def choose_samples(highest: int, density: float) -> int:

@@ -110,18 +110,18 @@ def list_files(files: Sequence[Path]) -> str:
     return "\n".join(["files:", *(f"  {path}" for path in others), "pictures:", *(f"  {path}" for path in pictures)])
 
 
-def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution, steps: int = STEPS) -> None:
+def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None:
     """Writes XDMF time series over one period, one field a file, and the mesh tags; collective.
+
+    Instants are equidistant; the end of the period, its beginning again, is left out. At rest there is one.
 
     Args:
         folder: Where to.
         chain: Mesh, interface and reduction basis.
         solution: On the reduced model of ``chain``.
-        steps: Equidistant instants ``k T / steps``; the end of the period, its beginning again, is left out.
     """
     domain, interface = chain.mesh.domain, chain.interface
-    if not np.any(solution.coordinates[np.array(solution.orders) > 0]):
-        steps = 1  # at rest
+    steps = STEPS if np.any(solution.coordinates[np.array(solution.orders) > 0]) else 1
     times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
     coordinates = (phase @ solution.coordinates).real
@@ -223,16 +223,16 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
         "scene": chain.scene.model_dump(mode="json", by_alias=True),
         "solution": {
             "converged": solution.converged,
-            "reason": str(solution.reason),
+            "reason": solution.reason,
             "iterations": solution.iterations,
-            "fallbacks": [str(rung) for rung in solution.fallbacks],
+            "fallbacks": list(solution.fallbacks),
             "cautions": list(solution.cautions),
             "residual": solution.residual,
             "unknowns": solution.unknowns,
             "frequency_Hz": solution.problem.frequency,
             "harmonics": list(solution.orders),
             "outputs": {name: _list_amplitudes(solution, name) for name in model.outputs},
-            "merit": {name: float(solution.merit[name]) for name in list_figures(solution)},
+            "merit": {name: solution.merit[name] for name in list_figures(solution)},
         },
         "model": {
             "nodes": index_map.size_global,
@@ -240,8 +240,8 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "smallest_scaled_jacobian": chain.mesh.smallest_scaled_jacobian,
             "pairs": model.pairs,
             "coordinates": model.size,
-            "full_stick_frequencies_Hz": np.asarray(reduction.full_stick.frequency).tolist(),
-            "fixed_interface_frequencies_Hz": np.asarray(reduction.fixed_interface_frequencies).tolist(),
+            "full_stick_frequencies_Hz": reduction.full_stick.frequency.tolist(),
+            "fixed_interface_frequencies_Hz": reduction.fixed_interface_frequencies.tolist(),
         },
         "ranks": chain.mesh.domain.comm.size,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),

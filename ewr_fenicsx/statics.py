@@ -20,7 +20,7 @@ def find_holding(
     largest: RealArray,
     friction: RealArray,
     rigid_load: RealArray,
-    limit: RealArray | None = None,
+    limit: RealArray,
 ) -> Literal["normal", "friction"]:
     """What holds the floating bodies: normal forces alone, or friction as well.
 
@@ -33,7 +33,7 @@ def find_holding(
         largest: ``(K,)`` largest mean normal force: inf, or what is given [N].
         friction: ``(K,)`` coefficients of friction, zero where a pair has none.
         rigid_load: ``(r,)`` work of the mean load on the rigid modes [N].
-        limit: ``(K,)`` tangential force that a pair carries whatever its normal force [N]; None: none.
+        limit: ``(K,)`` tangential force that a pair carries whatever its normal force [N].
 
     Raises:
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens most.
@@ -41,7 +41,6 @@ def find_holding(
     r = rigid_load.size
     sees_all = np.linalg.matrix_rank(normal_motion, tol=1e-9 * np.abs(normal_motion).max(initial=1e-300)) == r
     bounds = list(zip(smallest, largest, strict=True))
-    limit = 0 * friction if limit is None else limit
     nothing = 0 * friction
     if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
         return "normal"
