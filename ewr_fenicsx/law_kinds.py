@@ -256,7 +256,8 @@ def find_kind(side: Side, name: str) -> type:
     """
     if not isinstance(name, str) or (side, name) not in _KINDS:
         known = known_laws(side)
-        raise ModelError(f'{side} = "{name}"; choose one of {", ".join(map(_quote, known))}{nearest(name, known)}')
+        choices = ", ".join(f'"{law}"' for law in known)
+        raise ModelError(f'{side} = "{name}"; choose one of {choices}{nearest(name, known)}')
     return _KINDS[side, name]
 
 
@@ -277,7 +278,3 @@ def spread_over_pairs(value, pairs: np.ndarray, total: int, name: str = "", kind
         return array[pairs]
     said = f"{name} has " if name else ""
     raise ModelError(f"{said}{array.size} values for {pairs.size} pairs; give one, or one a pair")
-
-
-def _quote(name: str) -> str:
-    return f'"{name}"'

@@ -48,7 +48,7 @@ def find_idle_harmonics(problem: ContactProblem) -> IdleHarmonics:
         return _NONE  # a linear problem has no unknowns to save
     given = {h for h, force in problem.given_force.items() if np.any(force)}
     loaded = {h for h, f in problem.loads.items() if np.any(f)}
-    if not any(h for h in loaded | given):
+    if not any(loaded | given):
         return IdleHarmonics(orders[1:], "nothing oscillates: a static solve")
     if model.normal is not None:
         loaded |= given

@@ -148,8 +148,6 @@ class TimeScheme:
 
     def sample(self, amplitudes: Mapping[int, ComplexArray], columns: np.ndarray) -> RealArray:
         """Signals, harmonic -> amplitudes, at ``theta`` within each step: the mean of its ends, ``(steps, K)``."""
-        if not amplitudes:
-            return np.zeros((self.steps, columns.size))
         ends = sample_amplitudes(amplitudes, columns, self.steps)
         return (1 - self.theta) * ends + self.theta * np.roll(ends, -1, axis=0)
 
