@@ -121,11 +121,11 @@ class HarmonicBalance:
         seen = []
         for law in self.system.laws:
             columns = {d: rows[law.pairs] for d, rows in self.system.index.items() if np.all(rows[law.pairs] >= 0)}
-            motion = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
+            variables = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
             if "normal" not in columns:
                 given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, basis.samples))
-                motion["force"] = Signal(signals["force"], columns, {"normal": given})
-            seen.append(Motion(**motion))
+                variables["force"] = Signal(signals["force"], columns, {"normal": given})
+            seen.append(Motion(**variables))
         return seen
 
     def signals(
