@@ -15,7 +15,7 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.estimates import choose_samples, match_mobility, read_friction_weight
-from ewr_fenicsx.indicators import measure_sliding
+from ewr_fenicsx.indicators import measure_cone_violation, measure_sliding
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -70,8 +70,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
     names = ("normal_force", "friction_force", "gap", "slip")
     force, friction, gap, slip = (motion.history(name, SAMPLES) for name in names)
     speed = motion.sliding_speed(SAMPLES)
-    period, pressing = 1 / problem.frequency, np.maximum(0.0, force)
-    limit = problem.friction * pressing
+    period, pressing, rubs = 1 / problem.frequency, np.maximum(0.0, force), problem.friction > 0
     opening = max(gap[:, problem.opens].max(initial=0.0), np.ptp(slip, axis=0).max(initial=0.0)) or 1.0
     return Figures(
         output=output,
@@ -80,8 +79,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         wear=period * (pressing / problem.model.pair_area * speed).mean(axis=0),
         penetration=max(0.0, -float(gap[:, problem.opens].min(initial=0.0))) / opening,
         tension=max(0.0, -float(force[:, problem.opens].min(initial=0.0))) / (float(force.max(initial=0.0)) or 1.0),
-        cone_violation=float((np.abs(friction) - limit)[:, problem.friction > 0].max(initial=0.0))
-        / (float(limit.max(initial=0.0)) or 1.0),
+        cone_violation=measure_cone_violation(friction[:, rubs], force[:, rubs], problem.friction[rubs]),
     )
 
 
