@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -30,11 +29,6 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
     return coefficient * period * np.mean(pressure * solution.sliding_speed(SAMPLES), axis=0)
 
 
-def find_wearing_pairs(problem: ContactProblem) -> np.ndarray:
-    """``(K_c,)`` which pairs can wear: those whose normal law knows a gap."""
-    return problem.opens
-
-
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
     """By how much a worn depth slows its own growth, ``diag(k_w s) K_c``, ``(K_c, K_c)`` [1/cycle].
 
@@ -47,7 +41,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     """
     problem, system = solution.problem, solution.problem.system
     touches = solution.history("normal_force", SAMPLES).max(axis=0) > 0
-    pairs = np.flatnonzero(touches & find_wearing_pairs(problem) & (coefficient > 0))
+    pairs = np.flatnonzero(touches & problem.opens & (coefficient > 0))
     decay = np.zeros((problem.model.pairs,) * 2)
     if not pairs.size or not system.basis.has_mean:
         return decay

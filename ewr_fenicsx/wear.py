@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ewr_fenicsx.accuracy import check_accuracy
-from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, find_wearing_pairs, measure_wear_rate
+from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
@@ -227,7 +227,7 @@ def evolve_wear(
         check_accuracy(accuracy)
     if problem.frequency == 0:
         raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
-    rates[~find_wearing_pairs(problem)] = 0.0
+    rates[~problem.opens] = 0.0  # no gap that could grow
     if not np.any(rates > 0):
         raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')
     if model.tangents == 0:
@@ -371,7 +371,7 @@ class _Run:
     def _press_in(self) -> float:
         """How far the mean load presses contact in, about: the depth by which wear makes a difference [m]."""
         system = self.problem.system
-        rows = system.row_of("normal", np.flatnonzero(find_wearing_pairs(self.problem)))
+        rows = system.row_of("normal", np.flatnonzero(self.problem.opens))
         mean = np.abs(HarmonicBalance(system).full_stick[0][0, rows].real) if system.basis.has_mean else 0.0
         return float(np.max(mean * system.flexibility[rows]))
 
