@@ -22,7 +22,7 @@ from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
-from ewr_fenicsx.scene import ModalDamping, RayleighDamping, RotationLoad, Scene
+from ewr_fenicsx.scene import Material, ModalDamping, RayleighDamping, RotationLoad, Scene
 from ewr_fenicsx.scene_joint import Contact
 from ewr_fenicsx.scene_sense import can_wear, doubt_extent, doubt_modes
 
@@ -249,8 +249,8 @@ def _laws(joint: Contact) -> ContactLaws:
 
 
 def _materials(scene: Scene, mesh: JointMesh) -> dict[str, materials.Material]:
-    given = {body: materials.Material(m.young, m.poisson, m.density) for body, m in scene.materials.items()}
-    return {body: given.get(body, materials.TITANIUM) for body in mesh.bodies}
+    stated = {body: scene.materials.get(body, Material()) for body in mesh.bodies}
+    return {body: materials.Material(m.young, m.poisson, m.density) for body, m in stated.items()}
 
 
 def _damping(scene: Scene) -> materials.Damping:
