@@ -10,6 +10,9 @@ import scipy.sparse
 
 from ewr_fenicsx.errors import ModelError
 
+RealArray = np.ndarray
+ComplexArray = np.ndarray
+
 
 def read_numbers(name: str, value: object, kind: type = float, remedy: str = "give real numbers") -> np.ndarray:
     """A copy of some numbers as an array of one type, in the shape that they have.

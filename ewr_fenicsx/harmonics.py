@@ -10,10 +10,7 @@ import numpy as np
 import scipy.fft
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import is_whole
-
-RealArray = np.ndarray
-ComplexArray = np.ndarray
+from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 
 
 @dataclass(frozen=True)

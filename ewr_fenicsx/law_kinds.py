@@ -19,10 +19,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import read_numbers
-
-RealArray = np.ndarray
-ComplexArray = np.ndarray
+from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 
 Side = Literal["normal", "tangential"]
 Variable = Literal["force", "force_rate", "displacement", "velocity"]

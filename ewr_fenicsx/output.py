@@ -26,6 +26,7 @@ from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figu
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
 from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
 
@@ -46,8 +47,6 @@ PACKAGES = (
     "pydantic",
     "matplotlib",
 )
-
-RealArray = np.ndarray
 
 
 def write_results(

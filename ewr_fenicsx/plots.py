@@ -25,10 +25,10 @@ from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.contact_state import list_histories, sample_friction_limit
 from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
 from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution
 
-RealArray = np.ndarray
 SAMPLES = 1024
 DPI = 150
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel

@@ -24,10 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import read_harmonic, read_numbers
-
-RealArray = np.ndarray
-ComplexArray = np.ndarray
+from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"

@@ -17,9 +17,8 @@ from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.output import spread_over_interface, write_series
+from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.wear import WearHistory
-
-RealArray = np.ndarray
 
 WEAR_FIELDS = ("worn_gap", "mean_pressure", "sliding_distance", "J_T")
 
