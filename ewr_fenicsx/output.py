@@ -167,11 +167,7 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[Rea
     """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides."""
     space, interface = chain.structure.space, chain.interface
     component, parents = space.sub(0).collapse()
-    parents = np.asarray(parents) // space.dofmap.bs
-    index_map = space.dofmap.index_map
-    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    pair_of_node = {int(node): k for nodes in (interface.nodes_a, interface.nodes_b) for k, node in enumerate(nodes)}
-    pairs = np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])[parents]
+    pairs = find_pairs(space, interface.nodes_a, interface.nodes_b)[np.asarray(parents) // space.dofmap.bs]
     field = dolfinx.fem.Function(component)
     to_vertices = vertex_interpolation(component)
 
@@ -180,6 +176,19 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[Rea
         return to_vertices(field)
 
     return spread
+
+
+def find_pairs(space, *sides: np.ndarray) -> np.ndarray:
+    """Pair of every node that this rank holds, ghosts included, ``(nodes,)``; -1 where it is on none of the sides.
+
+    Args:
+        space: Displacement space.
+        sides: Global node numbers of the pairs on one body, ``(K_c,)``.
+    """
+    index_map = space.dofmap.index_map
+    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    pair_of_node = {int(node): k for nodes in sides for k, node in enumerate(nodes)}
+    return np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])
 
 
 def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:

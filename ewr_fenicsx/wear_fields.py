@@ -16,7 +16,7 @@ from ewr_fenicsx.archard import SAMPLES
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.indicators import measure_sliding
-from ewr_fenicsx.output import spread_over_interface, write_series
+from ewr_fenicsx.output import find_pairs, spread_over_interface, write_series
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.wear import WearHistory
 
@@ -64,10 +64,7 @@ def write_wear_fields(folder: Path, chain: Chain, history: WearHistory) -> None:
 def recede_flanks(chain: Chain) -> Callable[[RealArray], dolfinx.fem.Function]:
     """Returns a function from depths ``(K_c,)`` to the displacement of body A's contact nodes by them, inwards."""
     space, interface = chain.structure.space, chain.interface
-    index_map = space.dofmap.index_map
-    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    pair_of_node = {int(node): k for k, node in enumerate(interface.nodes_a)}
-    pairs = np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])
+    pairs = find_pairs(space, interface.nodes_a)
     field = dolfinx.fem.Function(space)
     to_vertices = vertex_interpolation(space, (2,))
 
