@@ -96,6 +96,17 @@ class Edges(NamedTuple):
     right: list[int]
 
 
+def check_positive(parameters: Mapping[str, float]) -> None:
+    """Refuse the parameters of a builder, its ``locals()`` as it begins, where one is not positive.
+
+    Raises:
+        ValueError: Names the parameter.
+    """
+    for name, value in parameters.items():
+        if not value > 0:
+            raise ValueError(f"{name} = {value}: expected a positive number")
+
+
 def mesh_bodies(bodies: Sequence[Body], boundaries: Mapping[str, Sequence[int]]) -> None:
     """Name the bodies and boundaries as physical groups, and mesh them.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, radians, sin, tan
 
-from blocks import Body, Point, mesh_bodies
+from blocks import Body, Point, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -55,9 +55,7 @@ def build(
     Raises:
         ValueError: A parameter has the wrong sign, or the root does not fit into the disk; names the parameter.
     """
-    for name, value in dict(locals()).items():
-        if not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+    check_positive(locals())
     if not 15.0 <= flank_angle <= 75.0:
         raise ValueError(f"flank_angle = {flank_angle}: expected degrees from the x direction, 15 to 75")
     if pairs < 2:

@@ -12,7 +12,7 @@ Physical groups: surfaces ``bar`` and ``stop``; curves ``face`` (of both bodies)
 
 from __future__ import annotations
 
-from blocks import Body, mesh_bodies
+from blocks import Body, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -38,9 +38,7 @@ def build(
     Raises:
         ValueError: A parameter has the wrong sign, or the tip is longer than the bar; names the parameter.
     """
-    for name, value in dict(locals()).items():
-        if not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+    check_positive(locals())
     if tip_length >= length:
         raise ValueError(f"tip_length = {tip_length}: expected less than length = {length}")
     if pairs < 2:

@@ -36,7 +36,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, hypot, radians, sin, sqrt, tan
 
-from blocks import Body, Point, mesh_bodies
+from blocks import Body, Point, check_positive, mesh_bodies
 from outlines import (
     Fillet,
     Piece,
@@ -115,7 +115,7 @@ def build(
     Raises:
         ValueError: A parameter has the wrong sign or the pieces do not fit together; names the parameter.
     """
-    _check_signs(dict(locals()))
+    _check_parameters(locals())
     necks = (
         [top_neck_width]
         if lobes == 1
@@ -182,10 +182,8 @@ def name_flank(lobe: int, lobes: int, side: int) -> str:
     return f"{('top', 'bottom')[lobe - 1]}_{hand}" if lobes == 2 else f"lobe{lobe}_{hand}"
 
 
-def _check_signs(parameters: dict[str, float]) -> None:
-    for name, value in parameters.items():
-        if not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+def _check_parameters(parameters: dict[str, float]) -> None:
+    check_positive(parameters)
     for name in ("flank_angle", "underside_angle"):
         if not 15.0 <= parameters[name] <= 75.0:
             raise ValueError(f"{name} = {parameters[name]}: expected degrees from the x direction, 15 to 75")

@@ -17,7 +17,7 @@ Coordinates in m; ``y = 0`` is the lap, ``x = 0`` its middle.
 
 from __future__ import annotations
 
-from blocks import Body, mesh_bodies
+from blocks import Body, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -45,9 +45,7 @@ def build(
     Raises:
         ValueError: A parameter has the wrong sign, or the washer or the overlap is too long; names the parameter.
     """
-    for name, value in dict(locals()).items():
-        if not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+    check_positive(locals())
     if not washer < overlap < length:
         raise ValueError(f"overlap = {overlap}: expected between washer = {washer} and length = {length}")
     if pairs < 4:

@@ -13,7 +13,7 @@ block) and ``top``. Coordinates in m; ``y = 0`` is the seat.
 
 from __future__ import annotations
 
-from blocks import Body, mesh_bodies
+from blocks import Body, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -39,9 +39,7 @@ def build(
     Raises:
         ValueError: A parameter has the wrong sign, or the upper block is wider than the lower one; names the parameter.
     """
-    for name, value in dict(locals()).items():
-        if not value > 0:
-            raise ValueError(f"{name} = {value}: expected a positive number")
+    check_positive(locals())
     if lower_width <= width:
         raise ValueError(f"lower_width = {lower_width}: expected more than width = {width}")
     if pairs < 2:
