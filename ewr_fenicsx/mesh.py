@@ -282,7 +282,7 @@ def _name_groups(source: Path, dimension: int) -> dict[str, int]:
     return groups
 
 
-def _entities(source: Path, dimension: int, groups: Mapping[str, int]) -> dict[int, str]:
+def _find_owners(source: Path, dimension: int, groups: Mapping[str, int]) -> dict[int, str]:
     """The group of every grouped entity; an entity in two groups would have an ambiguous tag."""
     owner: dict[int, str] = {}
     for name, number in groups.items():
@@ -298,7 +298,7 @@ def _entities(source: Path, dimension: int, groups: Mapping[str, int]) -> dict[i
 
 def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -> tuple[int, int, int]:
     """One cell type in all bodies: its gmsh number, its number of nodes and of corners."""
-    owner = _entities(source, dimension, bodies)
+    owner = _find_owners(source, dimension, bodies)
     types: dict[int, str] = {}
     for _, entity in gmsh.model.getEntities(dimension):
         kinds, cells, _ = gmsh.model.mesh.getElements(dimension, entity)
@@ -329,7 +329,7 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
 def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], cell_kind: int) -> None:
     """Every named facet must be the facet of a cell: dolfinx drops the others, or crashes."""
     list_facets = gmsh.model.mesh.getElementEdgeNodes if dimension == 2 else gmsh.model.mesh.getElementFaceNodes
-    for entity, name in _entities(source, dimension - 1, boundaries).items():
+    for entity, name in _find_owners(source, dimension - 1, boundaries).items():
         kinds, _, nodes = gmsh.model.mesh.getElements(dimension - 1, entity)
         if len(kinds) != 1:
             raise MeshError(
