@@ -5,37 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx.cli import main, parse_arguments
 
-ROOT = Path(__file__).parents[2]
-SCENE = """
-[geometry]
-source = "{blocks}"
-parameters = {{ {parameters} }}
-
-[loads.push]
-boundary = "tip"
-force = [0.0, -1000.0]
-
-[loads.shake]
-boundary = "tip"
-force = [100.0, 0.0]
-harmonic = 1
-
-[outputs.tip]
-boundary = "tip"
-direction = [1.0, 0.0]
-
-[excitation]
-frequency = 1000.0
-
-[solver]
-harmonics = 1
-"""
 MIXED_CELLS = '''
 import gmsh
 
@@ -61,7 +36,7 @@ def ewr(tmp_path, monkeypatch, capsys):
     def run(
         parameters: str = "", change: tuple[str, str] = ("", ""), addition: str = "", arguments: tuple[str, ...] = ()
     ) -> str:
-        text = SCENE.format(blocks=ROOT / "tests" / "geometry" / "two_blocks.py", parameters=parameters)
+        text = write_blocks(parameters=parameters, solver="harmonics = 1")
         assert change[0] in text
         (tmp_path / "scene.toml").write_text(text.replace(*change) + addition)
         before = sorted(tmp_path.rglob("*"))
@@ -126,7 +101,7 @@ def test_pair_further_apart_than_the_tolerance(ewr):
 
 def test_mixed_cell_types(ewr, tmp_path):
     (tmp_path / "mixed.py").write_text(MIXED_CELLS)
-    message = ewr(change=(str(ROOT / "tests" / "geometry" / "two_blocks.py"), "mixed.py"))
+    message = ewr(change=(str(BLOCKS), "mixed.py"))
     assert "mixed.py" in message
     assert "cells of 2 types" in message
 

@@ -4,42 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import pytest
+from small_scenes import write_blocks
 
 from ewr_fenicsx import frequency_sweep, wear
 from ewr_fenicsx.cli import main
 
-BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
-SCENE = f"""
-[geometry]
-source = "{BLOCKS}"
-
-[loads.push]
-boundary = "tip"
-force = [0.0, -1000.0]
-
-[loads.shake]
-boundary = "tip"
-force = [150.0, 0.0]
-harmonic = 1
-
-[outputs.tip]
-boundary = "tip"
-direction = [1.0, 0.0]
-
-[contact]
-friction = 0.1
-
-[solver]
-harmonics = 1
-
-"""
-STUDIES = {  # what is asked, what is interrupted and counted, its calls unbroken, table
-    "wear": ("[excitation]\nfrequency = 1000.0\n[wear]\ncycles = 12\n", (wear, "solve_from"), 12, "wear.csv"),
+write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
+STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table
+    "wear": (write_scene("[wear]\ncycles = 12"), (wear, "solve_from"), 12, "wear.csv"),
     "sweep": (
-        "[excitation]\nfrequency = { from = 2000, to = 3500, points = 16 }\n",
+        write_scene(frequency="{ from = 2000, to = 3500, points = 16 }"),
         (frequency_sweep, "_solve_block"),
         3,
         "frequency_response.csv",
@@ -82,7 +59,7 @@ def interrupt(monkeypatch, place: tuple, after: int) -> list:
 @pytest.mark.parametrize("study", STUDIES)
 def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
     asked, place, unbroken, table = STUDIES[study]
-    scene.write_text(SCENE + asked)
+    scene.write_text(asked)
     done = unbroken // 2
     with monkeypatch.context() as patch:
         assert len(interrupt(patch, place, done)) == 0
@@ -110,11 +87,11 @@ def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
 def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, study, change):
     """Whether the laws differ or the model; what to do about it is something that a user can do."""
     asked, place, unbroken, _ = STUDIES[study]
-    scene.write_text(SCENE + asked)
+    scene.write_text(asked)
     with monkeypatch.context() as patch:
         interrupt(patch, place, unbroken // 2)
         assert ewr()[0] == 130
-    scene.write_text((SCENE + asked).replace(*change))
+    scene.write_text(asked.replace(*change))
     code, told = ewr()
     partial = tmp_path / "broken.partial"
     assert code == 2 and "Traceback" not in told
@@ -124,7 +101,7 @@ def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, stu
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):
     asked, place, _, _ = STUDIES["sweep"]
-    scene.write_text(SCENE + asked)
+    scene.write_text(asked)
     with monkeypatch.context() as patch:
         interrupt(patch, place, 0)
         code, told = ewr()
@@ -140,7 +117,7 @@ def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, s
 
 
 def test_a_folder_of_the_user_s_own_is_kept(ewr, scene, tmp_path):
-    scene.write_text(SCENE + STUDIES["wear"][0])
+    scene.write_text(STUDIES["wear"][0])
     (tmp_path / "broken.partial").mkdir()
     (tmp_path / "broken.partial" / "notes.txt").write_text("mine")
     code, told = ewr()

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx import frequency_sweep, load_scene, solve, wear
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -22,31 +23,6 @@ from ewr_fenicsx.cli import main
 from ewr_fenicsx.following import Jump
 
 ROOT = Path(__file__).parents[2]
-BLOCKS = ROOT / "tests" / "geometry" / "two_blocks.py"
-SCENE = """
-[geometry]
-source = "{source}"
-
-[loads.push]
-boundary = "tip"
-force = [0.0, -1000.0]
-
-[loads.shake]
-boundary = "tip"
-force = [50.0, 0.0]
-harmonic = 1
-
-[outputs.tip]
-boundary = "tip"
-direction = [1.0, 0.0]
-
-[excitation]
-frequency = 1000.0
-
-[solver]
-harmonics = 3
-
-"""
 ALL_FIELDS = {"contact_pressure", "friction_traction", "gap", "slip", "contact_state"}
 
 
@@ -55,7 +31,7 @@ def run(tmp_path):
     """Solve a variant of the blocks' scene; returns its summary and the names of its files."""
 
     def solve_variant(addition: str = "", source: Path = BLOCKS) -> tuple[dict, set[str]]:
-        (tmp_path / "scene.toml").write_text(SCENE.format(source=source) + addition)
+        (tmp_path / "scene.toml").write_text(write_blocks(addition, source=source))
         assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results"), "--overwrite"]) == 0
         summary = json.loads((tmp_path / "results" / "summary.json").read_text())
         assert sorted(path.name for path in (tmp_path / "results").iterdir()) == summary["files"]
@@ -173,8 +149,7 @@ def test_each_flank_has_its_own_laws(tmp_path):
 
 
 def test_a_static_scene_is_solved_at_rest(run, tmp_path):
-    text = SCENE.split("[loads.shake]")[0].format(source=BLOCKS)
-    (tmp_path / "rest.toml").write_text(text)
+    (tmp_path / "rest.toml").write_text(write_blocks().split("[loads.shake]")[0])
     assert main(["run", str(tmp_path / "rest.toml"), "--out", str(tmp_path / "rest")]) == 0
     summary = json.loads((tmp_path / "rest" / "summary.json").read_text())
     pairs = summary["model"]["pairs"]
@@ -188,10 +163,7 @@ def test_a_static_scene_is_solved_at_rest(run, tmp_path):
 
 
 def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
-    text = SCENE.format(source=BLOCKS).replace(
-        "frequency = 1000.0", "frequency = { from = 2000, to = 6000, points = 5 }"
-    )
-    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "scene.toml").write_text(write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     with (tmp_path / "results" / "frequency_response.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -226,8 +198,7 @@ def test_a_summary_holds_what_decides_on_the_trust_in_a_curve(tmp_path, monkeypa
     sweep = frequency_sweep.frequency_response
     broken = lambda *given, **named: replace(sweep(*given, **named), missing=(4500.0,), jumps=(jump,))  # noqa: E731
     monkeypatch.setattr(frequency_sweep, "frequency_response", broken)
-    range_ = "frequency = { from = 2000, to = 6000, points = 5 }"
-    (tmp_path / "scene.toml").write_text(SCENE.format(source=BLOCKS).replace("frequency = 1000.0", range_))
+    (tmp_path / "scene.toml").write_text(write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     facts = json.loads((tmp_path / "results" / "summary.json").read_text())["sweep"]
     assert facts["missing_Hz"] == [4500.0] and facts["solutions"] == 5
@@ -258,8 +229,7 @@ def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):
 
 
 def test_a_summary_says_how_accurate_the_outputs_are(run, tmp_path):
-    text = SCENE.format(source=BLOCKS).replace("harmonics = 3", "accuracy = 0.02")
-    (tmp_path / "scene.toml").write_text(text.replace("[50.0, 0.0]", "[150.0, 0.0]"))
+    (tmp_path / "scene.toml").write_text(write_blocks(shake=150.0, solver="accuracy = 0.02"))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     facts = json.loads((tmp_path / "results" / "summary.json").read_text())["accuracy"]
     assert facts["asked"] == 0.02 and facts["reached"] is True and facts["limit"] == ""
@@ -271,7 +241,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, monkeypatch):
     evolve = wear.evolve_wear
     stop = lambda *given, **named: replace(evolve(*given, **named), stopped="after 2 cycles: enough")  # noqa: E731
     monkeypatch.setattr(wear, "evolve_wear", stop)
-    (tmp_path / "scene.toml").write_text(SCENE.format(source=BLOCKS) + "[wear]\ncycles = 2\ncoefficient = 1e-12\n")
+    (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     facts = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]
     assert facts["stopped"] == "after 2 cycles: enough" and facts["cycles"] == 2 and facts["solves"] >= 2
@@ -280,8 +250,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, monkeypatch):
 
 def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):
     """The worn joint is found from there without any."""
-    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 2\ncoefficient = 1e-12\n"
-    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
     late = lambda *given, **named: replace(solve(*given, **named), fallbacks=("one: no", "two: yes"))  # noqa: E731
     monkeypatch.setattr("ewr_fenicsx.wear.solve", late)
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
@@ -291,8 +260,8 @@ def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkey
 
 
 def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
-    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 20\ncoefficient = 1e-9\n[contact]\nfriction = 0.1\n"
-    (tmp_path / "scene.toml").write_text(text.replace("force = [50.0, 0.0]", "force = [150.0, 0.0]"))
+    wears = "[wear]\ncycles = 20\ncoefficient = 1e-9"
+    (tmp_path / "scene.toml").write_text(write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     assert "20 cycles in" in capsys.readouterr().out
     with (tmp_path / "results" / "wear.csv").open() as file:
@@ -312,9 +281,7 @@ def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
 
 def test_a_bonded_scene_loads_and_runs_nothing_that_it_does_not_call_for(tmp_path):
     """Through files: no sweep, no wear, no ladder that climbs, no SNES."""
-    (tmp_path / "scene.toml").write_text(
-        SCENE.format(source=BLOCKS) + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n"
-    )
+    (tmp_path / "scene.toml").write_text(write_blocks("[contact]\nnormal = 'bonded'\ntangential = 'bonded'"))
     script = (
         "import sys; import ewr_fenicsx.snes as snes, ewr_fenicsx.newton as newton\n"
         "def fail(*_, **__): raise AssertionError('a linear scene needs no Newton')\n"
@@ -359,7 +326,7 @@ def test_a_phase_is_in_degrees(tmp_path):
     """A quarter of a period later, and everything else is the same."""
     outputs = []
     for phase in (0.0, 90.0):
-        text = SCENE.format(source=BLOCKS).replace("harmonic = 1\n", f"harmonic = 1\nphase = {phase}\n")
+        text = write_blocks().replace("harmonic = 1\n", f"harmonic = 1\nphase = {phase}\n")
         (tmp_path / "scene.toml").write_text(text)
         scene = load_scene(tmp_path / "scene.toml")
         problem = pose_problem(scene, build_chain(scene).reduction.model)
@@ -369,23 +336,22 @@ def test_a_phase_is_in_degrees(tmp_path):
 
 
 def test_a_geometry_in_millimetres_is_told_of(tmp_path, capsys):
-    text = SCENE.format(source=BLOCKS) + "[geometry.parameters]\nwidth = 40.0\nblade_height = 60.0\ndisk_height = 30.0"
-    (tmp_path / "scene.toml").write_text(text)
+    in_mm = "width = 40.0, blade_height = 60.0, disk_height = 30.0"
+    (tmp_path / "scene.toml").write_text(write_blocks(parameters=in_mm))
     assert main(["info", str(tmp_path / "scene.toml")]) == 0
     assert "ewr: warning: scene" in (told := capsys.readouterr().err)
     assert "geometry: the mesh is 90 m long; lengths are in m: were mm meant?" in told
 
 
 def test_a_frequency_above_the_modes_kept_is_told_of(tmp_path, capsys):
-    text = SCENE.format(source=BLOCKS).replace("1000.0\n\n[solver]", "200000.0\n\n[solver]")
-    (tmp_path / "scene.toml").write_text(text + "[reduction]\nmodes = 3\n")
+    (tmp_path / "scene.toml").write_text(write_blocks("[reduction]\nmodes = 3", frequency=200_000.0))
     assert main(["info", str(tmp_path / "scene.toml")]) == 0
     assert "the load shake acts at 200000 Hz, above the highest of 3 modes kept" in capsys.readouterr().err
 
 
 def test_wear_through_a_body_is_no_result(tmp_path, capsys):
-    text = SCENE.format(source=BLOCKS) + "[wear]\ncycles = 200\ncoefficient = 1e-3\ntolerance = 0.1\n"
-    (tmp_path / "scene.toml").write_text(text.replace("[50.0, 0.0]", "[150.0, 0.0]") + "[contact]\nfriction = 0.1\n")
+    wears = "[wear]\ncycles = 200\ncoefficient = 1e-3\ntolerance = 0.1"
+    (tmp_path / "scene.toml").write_text(write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     told = capsys.readouterr()
     assert "wear.coefficient = 0.001 1/Pa is far above that of any joint" in told.err

@@ -1,0 +1,52 @@
+"""The smallest scene that runs, as the text that a user would write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+BLOCKS = Path(__file__).parent / "geometry" / "two_blocks.py"
+
+
+def write_blocks(
+    *entries: str,
+    source: Path = BLOCKS,
+    parameters: str = "",
+    shake: float = 50.0,
+    frequency: object = 1000.0,
+    solver: str = "harmonics = 3",
+) -> str:
+    """A block pressed on another one and shaken along it.
+
+    Args:
+        entries: Further tables.
+        source: Builder or mesh.
+        parameters: Of the builder, as TOML.
+        shake: Amplitude of the oscillating force [N]; the static one is 1 kN.
+        frequency: In Hz, or a sweep as TOML.
+        solver: What stands in that table.
+    """
+    tables = f"""
+[geometry]
+source = "{source}"
+parameters = {{ {parameters} }}
+
+[loads.push]
+boundary = "tip"
+force = [0.0, -1000.0]
+
+[loads.shake]
+boundary = "tip"
+force = [{shake}, 0.0]
+harmonic = 1
+
+[outputs.tip]
+boundary = "tip"
+direction = [1.0, 0.0]
+
+[excitation]
+frequency = {frequency}
+
+[solver]
+{solver}
+"""
+    return "\n".join([tables, *entries, ""])
