@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from small_models import dovetail  # noqa: E402
 
-__all__ = ["blade_root", "damp", "dovetail", "find_first_mode", "lap_joint"]
+__all__ = ["blade_root", "damp", "dovetail", "find_first_mode", "lap_joint", "two_trusses"]
 
 
 @lru_cache(maxsize=8)
@@ -113,6 +113,49 @@ def lap_joint(*, pairs: int = 7, preload: float = 700.0, excitation: complex = 5
         outputs={"tip": tip[free]},
     )
     return damp(model, 5e-3)
+
+
+def two_trusses(pairs: int, load: float, seed: int = 1) -> ReducedModel:
+    """Two plane trusses that face each other along a line, both held, pressed together by a constant load and shaken.
+
+    In units of a typical spring, a head's mass and the preload; the contact nodes of a body weigh 0.02 together.
+    Coordinates: of each body (x, y) of its ``pairs`` contact nodes, then of its two heads, which springs hold; x is
+    tangential, y normal. The upper body's heads are pressed, the first one is shaken by ``load`` and read; a single
+    pair, which carries everything, takes ten times the load.
+    """
+    rng = np.random.default_rng(seed)
+    nodes = pairs + 2
+    half = 2 * nodes
+    stiffness, mass = np.zeros((2 * half, 2 * half)), np.zeros(2 * half)
+    for body, side in enumerate((1.0, -1.0)):
+        line = [[2.0 * (k + 0.5) / pairs - 1.0, 0.0] for k in range(pairs)]
+        place = np.array([*line, [-1.5, 2.0 * side], [1.5, 2.0 * side]])
+        first = body * half
+        for i in range(nodes):
+            for j in range(i):
+                axis = (place[i] - place[j]) / np.linalg.norm(place[i] - place[j])
+                row = np.zeros(2 * half)
+                row[first + 2 * i : first + 2 * i + 2], row[first + 2 * j : first + 2 * j + 2] = axis, -axis
+                stiffness += rng.uniform(0.7, 1.3) * np.outer(row, row) / np.sqrt(pairs)
+        heads = np.arange(first + half - 4, first + half)
+        stiffness[heads, heads] += rng.uniform(0.5, 1.5, 4) * (0.02 if body == 0 else 1.0)
+        mass[first : first + half - 4], mass[heads] = 0.02 / pairs, 1.0
+    normal, tangential = np.zeros((pairs, 2 * half)), np.zeros((pairs, 2 * half))
+    for k in range(pairs):
+        normal[k, [2 * k + 1, half + 2 * k + 1]] = 1.0, -1.0
+        tangential[k, [2 * k, half + 2 * k]] = 1.0, -1.0
+    head, shake = half - 4, load * (10.0 if pairs == 1 else 1.0)
+    static, harmonic, tip = np.zeros(2 * half), np.zeros(2 * half, dtype=complex), np.zeros(2 * half)
+    static[[head + 1, head + 3]], harmonic[head], harmonic[head + 1], tip[head] = -0.5, shake, 0.5j * shake, 1.0
+    return ReducedModel(
+        mass=np.diag(mass),
+        damping=0.03 * (stiffness + np.diag(mass)),
+        stiffness=stiffness,
+        normal=normal,
+        tangential=tangential,
+        load={0: static, 1: harmonic},
+        outputs={"tip": tip},
+    )
 
 
 def find_first_mode(model: ReducedModel) -> float:
