@@ -2,131 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
+from balance_points import FREQUENCY, LAWS, STATES, Point, combine_with, prepare
 from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
-
-FREQUENCY = 0.21
-STATES = ("stick", "slip", "open", "mixed")
-
-
-def laws_of(kind: str) -> ContactLaws | list:
-    """Every law combination that has unknowns, by name."""
-    varying = {0: np.array([9.0, 8.0, 10.0]), 1: np.array([3.0j, 2.0, -4.0])}
-    single = {
-        "unilateral coulomb": ContactLaws(friction=[0.3, 0.5, 0.8]),
-        "unilateral coulomb, mean zero": ContactLaws(friction=0.4, static_friction="zero"),
-        "unilateral frictionless": ContactLaws(tangential="frictionless", initial_gap=[0.0, 0.1, 0.3]),
-        "unilateral bonded": ContactLaws(tangential="bonded"),
-        "bonded coulomb": ContactLaws("bonded", friction=0.4),
-        "bonded coulomb, mean zero": ContactLaws("bonded", friction=0.4, static_friction="zero"),
-        "prescribed coulomb": ContactLaws("prescribed", friction=0.4, normal_force=8.0),
-        "varying coulomb": ContactLaws("prescribed", friction=0.4, normal_force=varying),
-        "varying coulomb, mean zero": ContactLaws(
-            "prescribed", friction=0.4, normal_force=varying, static_friction="zero"
-        ),
-    }
-    groups = {
-        "groups": [
-            ([2], ContactLaws(friction=0.3)),
-            ([1, 0], ContactLaws("bonded", friction=0.6, static_friction="zero")),
-        ],
-        "bond in a group": [([1], ContactLaws("bonded", "bonded")), ([0, 2], ContactLaws(friction=0.5))],
-        "prescribed in a group": [
-            ([1], ContactLaws("prescribed", normal_force=8.0)),
-            ([2, 0], ContactLaws(friction=0.5)),
-        ],
-        "free in a group": [([0, 2], ContactLaws(tangential="frictionless")), ([1], ContactLaws(friction=0.5))],
-    }
-    return (single | groups)[kind]
-
-
-COMBINATIONS = (
-    "unilateral coulomb",
-    "unilateral coulomb, mean zero",
-    "unilateral frictionless",
-    "unilateral bonded",
-    "bonded coulomb",
-    "bonded coulomb, mean zero",
-    "prescribed coulomb",
-    "varying coulomb",
-    "varying coulomb, mean zero",
-    "groups",
-    "bond in a group",
-    "prescribed in a group",
-    "free in a group",
-)
-
-
-def combine_with(*harmonics) -> list[tuple]:
-    """Law combinations with sets of harmonics; a prescribed mean force and contact that opens need the mean."""
-    without_mean = ("bonded coulomb", "bonded coulomb, mean zero")
-    return [(k, h) for k in COMBINATIONS for h in harmonics if h != (1, 3, 5) or k in without_mean]
-
-
-@dataclass(frozen=True)
-class Point:
-    """A problem, and unknowns at which its pairs are in a chosen state."""
-
-    problem: ContactProblem
-    balance: HarmonicBalance
-    unknowns: np.ndarray
-
-
-def prepare(kind: str, state: str, harmonics=3, samples: int | None = None, seed: int = 0) -> Point:
-    """Loads chosen so that chosen forces go with chosen motions: every row is then in the state asked for."""
-    model = random_structure(size=10)
-    problem = ContactProblem(model, laws_of(kind), FREQUENCY, harmonics, samples)
-    system = problem.system
-    rng = np.random.default_rng(seed)
-    orders, m = system.basis.orders, system.rows.shape[0]
-    ripple = lambda size: (rng.normal(size=(len(orders), m)) + 1j * rng.normal(size=(len(orders), m))) * size  # noqa: E731
-    decay = 1.0 / (1.0 + np.array(orders)[:, None])
-    forces, motion = ripple(0.3) * decay, ripple(1e-3) * decay
-    normal = system.index["normal"][system.index["normal"] >= 0] if "normal" in system.index else np.zeros(0, dtype=int)
-    rub = (
-        system.index["tangential"][system.index["tangential"] >= 0]
-        if "tangential" in system.index
-        else np.zeros(0, int)
-    )
-    first = orders.index(1)
-    if state == "mixed":
-        forces, motion = ripple(4.0) * decay, ripple(4.0) * decay
-        if orders[0] == 0:
-            forces[0, normal] += 4.0
-    elif state == "open":
-        motion[0 if orders[0] == 0 else first, normal] = 30.0
-        forces[0, normal] -= 2.0 * (orders[0] == 0)  # no cone either
-    elif orders[0] == 0:
-        forces[0, normal] = 20.0
-    if state == "slip":
-        motion[first, rub] = 300.0 * np.exp(1j * rng.uniform(0, 6, rub.size))
-    if orders[0] == 0:
-        forces[0], motion[0] = forces[0].real, motion[0].real
-        for law, rows in zip(system.laws, HarmonicBalance(system).law_rows, strict=True):
-            if law.static_row == 0:
-                forces[0, rows] = 0.0
-    load = {}
-    for j, h in enumerate(orders):
-        w = h * problem.omega
-        impedance = model.stiffness - w**2 * model.mass + 1j * w * model.damping
-        wanted = motion[j] - system.compliance.flexibility[j] @ forces[j] - system.compliance.free_motion[j]
-        load[h] = impedance @ system.expansion @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
-        if system.expansion.shape[1] < model.size:  # bonds: the load must move the bonded structure there
-            T = system.expansion
-            load[h] = T @ (T.T @ impedance @ T) @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
-        load[h] = load[h].real if h == 0 else load[h]
-    problem = replace(problem, model=replace(model, load=load))
-    balance = HarmonicBalance(problem.system)
-    np.testing.assert_allclose(balance.compliance.motion(forces, np.zeros(0)), motion, atol=1e-9 * np.abs(motion).max())
-    return Point(problem, balance, balance.pack(forces, np.zeros(0)))
 
 
 def evaluate_series(wave: np.ndarray, amplitudes: list) -> float:
@@ -208,7 +94,7 @@ def residual_by_loops(problem: ContactProblem, forces: np.ndarray, samples: int)
 
 
 @pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("kind", COMBINATIONS)
+@pytest.mark.parametrize("kind", LAWS)
 def test_residual_is_the_projected_law(kind, state):
     point = prepare(kind, state, samples=32)
     balance = point.balance
@@ -223,7 +109,7 @@ def test_residual_is_the_projected_law(kind, state):
 def test_residual_for_sparse_harmonics(harmonics):
     kind = "bonded coulomb" if harmonics == (1, 3, 5) else "unilateral coulomb"
     if harmonics == 0:
-        problem = ContactProblem(random_structure(size=10), laws_of(kind), FREQUENCY, 0)
+        problem = ContactProblem(random_structure(size=10), LAWS[kind], FREQUENCY, 0)
         balance = HarmonicBalance(problem.system)
         unknowns = np.random.default_rng(0).normal(size=balance.size)
         point = Point(problem, balance, unknowns)
@@ -288,7 +174,7 @@ def test_jacobian_equals_finite_differences_away_from_kinks(kind, state, harmoni
     assert worst < 1e-9 * scale
 
 
-@pytest.mark.parametrize("kind", COMBINATIONS)
+@pytest.mark.parametrize("kind", LAWS)
 def test_taylor_remainder_falls_with_the_square_of_the_step(kind):
     """Across kinks too: the share of a densely sampled period that changes its branch shrinks with the step."""
     point = prepare(kind, "mixed", harmonics=2, samples=2**16)

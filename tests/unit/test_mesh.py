@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import textwrap
@@ -14,7 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import MeshError
-from ewr_fenicsx.mesh import JointMesh, build_mesh, evaluate_scaled_jacobian, measure_extent
+from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.scene_sense import doubt_extent
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
@@ -345,94 +344,6 @@ def test_gmsh_is_quiet():
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert [text.partition("IMPORTED\n")[2] for text in (run.stdout, run.stderr)] == ["", ""]
     assert "IMPORTED" in run.stdout and "IMPORTED" in run.stderr
-
-
-COUNT = """
-import json, sys
-from pathlib import Path
-from mpi4py import MPI
-sys.path.insert(0, {here!r})
-from test_mesh import count
-from ewr_fenicsx.mesh import build_mesh
-mesh = build_mesh(Path({source!r}), {parameters!r}, MPI.COMM_WORLD)
-found = MPI.COMM_WORLD.gather([count(mesh), dict(mesh.bodies), dict(mesh.boundaries), mesh.smallest_scaled_jacobian])
-if found:
-    assert all(one == found[0] for one in found), found
-    print("FOUND", json.dumps(found[0]))
-"""
-
-
-@pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py"])
-def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
-    script = tmp_path / "count.py"
-    script.write_text(COUNT.format(here=str(Path(__file__).parent), source=str(GEOMETRY / name), parameters={}))
-    run = mpirun(2, "python", "-m", "mpi4py", script)
-    assert run.returncode == 0, run.stderr
-    (line,) = [line for line in run.stdout.splitlines() if line.startswith("FOUND")]
-    mesh = build(GEOMETRY / name)
-    assert json.loads(line.removeprefix("FOUND")) == [
-        count(mesh),
-        mesh.bodies,
-        mesh.boundaries,
-        mesh.smallest_scaled_jacobian,
-    ]
-
-
-def test_an_error_on_rank_0_is_raised_on_both(mpirun, tmp_path):
-    script = tmp_path / "fail.py"
-    script.write_text(f"""
-import json
-from pathlib import Path
-from mpi4py import MPI
-from ewr_fenicsx.errors import MeshError
-from ewr_fenicsx.mesh import build_mesh
-try:
-    build_mesh(Path({str(GEOMETRY / "fir_tree.py")!r}), {{"lobe": 2}}, MPI.COMM_WORLD)
-except MeshError as error:
-    messages = MPI.COMM_WORLD.gather(str(error))  # two ranks that print might do so within one line
-    if messages:
-        Path("messages.json").write_text(json.dumps(messages))
-""")
-    run = mpirun(2, "python", script, timeout=60.0)
-    assert run.returncode == 0, run.stderr
-    messages = json.loads((tmp_path / "messages.json").read_text())
-    assert len(messages) == 2
-    assert all(message.endswith('unknown parameter "lobe" = 2; did you mean "lobes"?') for message in messages)
-
-
-def transform(corners, angle: float = 0.3, size: float = 7.0) -> np.ndarray:
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return (size * np.asarray(corners, dtype=float) @ turn.T + [3.0, -2.0])[None]
-
-
-@pytest.mark.parametrize(
-    "corners, expected",
-    [
-        ([(0, 0), (1, 0), (1, 1), (0, 1)], 1.0),
-        ([(0, 0), (5, 0), (5, 1), (0, 1)], 1.0),
-        ([(0, 1), (1, 1), (1, 0), (0, 0)], 1.0),  # numbered clockwise: as good
-        ([(0, 0), (1, 0), (1 + 0.5, 3**0.5 / 2), (0.5, 3**0.5 / 2)], 3**0.5 / 2),  # rhombus of 60 degrees
-        ([(0, 0), (1, 0), (0.5, 0.5), (0, 1)], 0.0),  # a corner of 180 degrees
-        ([(0, 0), (1, 0), (0.25, 0.25), (0, 1)], -0.8),  # a dart: a corner of 180 + 53 degrees
-        ([(0, 0), (1, 1), (1, 0), (0, 1)], -(0.5**0.5)),  # crossed
-        ([(0, 0), (0, 0), (1, 1), (0, 1)], 0.0),  # two corners in one
-    ],
-)
-def test_scaled_jacobian_of_known_quadrilaterals(corners, expected):
-    assert evaluate_scaled_jacobian(transform(corners), "quadrilateral")[0] == pytest.approx(expected, abs=1e-12)
-
-
-def test_scaled_jacobian_of_ideal_cells_is_one():
-    triangle = [(0, 0), (1, 0), (0.5, 3**0.5 / 2)]
-    assert evaluate_scaled_jacobian(transform(triangle), "triangle")[0] == pytest.approx(1.0)
-    right = [(0, 0), (1, 0), (0, 1)]
-    assert evaluate_scaled_jacobian(transform(right), "triangle")[0] == pytest.approx(0.5**0.5 / (3**0.5 / 2))
-    tetrahedron = np.array([[(1, 1, 1), (-1, 1, -1), (1, -1, -1), (-1, -1, 1)]], dtype=float)
-    assert evaluate_scaled_jacobian(tetrahedron, "tetrahedron")[0] == pytest.approx(1.0)
-    hexahedron = np.array(
-        [[(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]], dtype=float
-    )
-    assert evaluate_scaled_jacobian(hexahedron, "hexahedron")[0] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("scale", "doubted"), [(1.0, False), (1e3, True)])

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure, transform_coordinates
+from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.indicators import (
@@ -364,106 +361,3 @@ def test_bodies_that_never_touch_are_told(gap, touches):
 def test_where_nothing_may_part_nothing_is_told():
     for laws in (ContactLaws("bonded", "bonded"), ContactLaws("prescribed", normal_force=1.0)):
         assert "touches" not in solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 3)).summary()
-
-
-# Invariances of the whole solve
-
-
-@lru_cache
-def solve_base() -> PeriodicSolution:
-    return solve(
-        ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3, initial_gap=0.01), 0.1, 5), tolerance=1e-12
-    )
-
-
-@lru_cache
-def solve_joint() -> PeriodicSolution:
-    return solve(ContactProblem(dovetail(), ContactLaws(friction=0.3), 481.0, 3), tolerance=1e-12)
-
-
-def shift_in_time(model: ReducedModel, phase: float) -> ReducedModel:
-    return replace(model, load={h: f * np.exp(1j * h * phase) for h, f in model.load.items()})
-
-
-@settings(max_examples=12)
-@given(st.integers(0, 255))
-def test_shift_of_time_shifts_the_solution(ticks):
-    """By whole samples exactly; between samples the laws are evaluated elsewhere."""
-    base = solve_base()
-    phase = 2 * np.pi * ticks / base.problem.basis.samples
-    shifted = solve(replace(base.problem, model=shift_in_time(base.problem.model, phase)), tolerance=1e-12)
-    turn = np.exp(1j * phase * np.arange(6))
-    np.testing.assert_allclose(shifted.forces, turn[:, None] * base.forces, atol=1e-9 * np.abs(base.forces).max())
-
-
-@settings(max_examples=12)
-@given(st.floats(-6, 6))
-def test_loads_and_gaps_scale_everything(exponent):
-    """Contact and friction know no force of their own: c times the loads and gaps give c times the answer."""
-    base = solve_base()
-    c, model = 10.0**exponent, base.problem.model
-    scaled = replace(model, load={h: c * f for h, f in model.load.items()})
-    solution = solve(
-        replace(base.problem, model=scaled, laws=ContactLaws(friction=0.3, initial_gap=0.01 * c)), tolerance=1e-12
-    )
-    np.testing.assert_allclose(solution.forces, c * base.forces, atol=1e-9 * c * np.abs(base.forces).max())
-    assert solution.iterations == base.iterations
-
-
-@settings(max_examples=12)
-@given(st.permutations(range(6)))
-def test_order_of_pairs_does_not_matter(order):
-    joint = solve_joint()
-    model = joint.problem.model
-    moved = replace(
-        model, normal=model.normal[order], tangential=model.tangential[order], pair_area=model.pair_area[order]
-    )
-    solution = solve(replace(joint.problem, model=moved), tolerance=1e-12)
-    for direction in ("normal", "tangential"):
-        before = joint.pair_forces[direction][:, order]
-        np.testing.assert_allclose(solution.pair_forces[direction], before, atol=1e-7 * np.abs(joint.forces).max())
-
-
-@settings(max_examples=12)
-@given(st.lists(st.sampled_from([-1.0, 1.0]), min_size=6, max_size=6))
-def test_direction_of_tangents_does_not_matter(signs):
-    joint = solve_joint()
-    signs = np.array(signs)
-    model = joint.problem.model
-    turned = solve(
-        replace(joint.problem, model=replace(model, tangential=signs[:, None] * model.tangential)), tolerance=1e-12
-    )
-    scale = np.abs(joint.forces).max()
-    np.testing.assert_allclose(turned.pair_forces["normal"], joint.pair_forces["normal"], atol=1e-7 * scale)
-    np.testing.assert_allclose(
-        turned.pair_forces["tangential"], signs * joint.pair_forces["tangential"], atol=1e-7 * scale
-    )
-
-
-@settings(max_examples=12)
-@given(st.integers(0, 2**32 - 1), st.floats(0, 3))
-def test_coordinates_do_not_matter(seed, spread):
-    """Rotated axes, modal coordinates, other units among the coordinates: the joint does not know."""
-    joint = solve_joint()
-    rng = np.random.default_rng(seed)
-    turn = np.linalg.qr(rng.normal(size=(26, 26)))[0]
-    basis = turn @ np.diag(10.0 ** rng.uniform(-spread, spread, 26))
-    solution = solve(replace(joint.problem, model=transform_coordinates(joint.problem.model, basis)), tolerance=1e-11)
-    np.testing.assert_allclose(solution.forces, joint.forces, atol=1e-6 * np.abs(joint.forces).max())
-    np.testing.assert_allclose(
-        solution.output("tip"), joint.output("tip"), atol=1e-6 * np.abs(joint.output("tip")).max()
-    )
-
-
-def test_shift_between_samples_only_moves_the_sampling():
-    """Half a sample: the answer changes by the aliasing error, which falls with the samples."""
-    errors = []
-    for samples in (64, 1024):
-        problem = ContactProblem(
-            friction_oscillator(damping=0.1), ContactLaws("prescribed", normal_force=0.3, friction=1.0), 0.1, 5, samples
-        )
-        phase = np.pi / samples
-        plain = solve(problem).output("tip")
-        shifted = solve(replace(problem, model=shift_in_time(problem.model, phase))).output("tip")
-        errors.append(np.abs(shifted - np.exp(1j * phase * np.arange(6)) * plain).max() / np.abs(plain).max())
-    assert errors[1] < errors[0] / 8 < 1e-3, errors

@@ -1,0 +1,72 @@
+"""Meshes under ``mpirun``: the same on two ranks, and what is wrong with one is told on both."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from ewr_fenicsx.mesh import build_mesh
+
+ROOT = Path(__file__).parents[2]
+GEOMETRY, UNIT = ROOT / "geometry", ROOT / "tests" / "unit"
+sys.path.insert(0, str(UNIT))
+
+from test_mesh import count  # noqa: E402
+
+pytestmark = pytest.mark.parallel
+
+COUNT = """
+import json, sys
+from pathlib import Path
+from mpi4py import MPI
+sys.path.insert(0, {unit!r})
+from test_mesh import count
+from ewr_fenicsx.mesh import build_mesh
+mesh = build_mesh(Path({source!r}), {parameters!r}, MPI.COMM_WORLD)
+found = MPI.COMM_WORLD.gather([count(mesh), dict(mesh.bodies), dict(mesh.boundaries), mesh.smallest_scaled_jacobian])
+if found:
+    assert all(one == found[0] for one in found), found
+    print("FOUND", json.dumps(found[0]))
+"""
+
+
+@pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py"])
+def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
+    script = tmp_path / "count.py"
+    script.write_text(COUNT.format(unit=str(UNIT), source=str(GEOMETRY / name), parameters={}))
+    run = mpirun(2, "python", "-m", "mpi4py", script)
+    assert run.returncode == 0, run.stderr
+    (line,) = [line for line in run.stdout.splitlines() if line.startswith("FOUND")]
+    mesh = build_mesh(GEOMETRY / name, {}, MPI.COMM_SELF)
+    assert json.loads(line.removeprefix("FOUND")) == [
+        count(mesh),
+        mesh.bodies,
+        mesh.boundaries,
+        mesh.smallest_scaled_jacobian,
+    ]
+
+
+def test_an_error_on_rank_0_is_raised_on_both(mpirun, tmp_path):
+    script = tmp_path / "fail.py"
+    script.write_text(f"""
+import json
+from pathlib import Path
+from mpi4py import MPI
+from ewr_fenicsx.errors import MeshError
+from ewr_fenicsx.mesh import build_mesh
+try:
+    build_mesh(Path({str(GEOMETRY / "fir_tree.py")!r}), {{"lobe": 2}}, MPI.COMM_WORLD)
+except MeshError as error:
+    messages = MPI.COMM_WORLD.gather(str(error))  # two ranks that print might do so within one line
+    if messages:
+        Path("messages.json").write_text(json.dumps(messages))
+""")
+    run = mpirun(2, "python", script, timeout=60.0)
+    assert run.returncode == 0, run.stderr
+    messages = json.loads((tmp_path / "messages.json").read_text())
+    assert len(messages) == 2
+    assert all(message.endswith('unknown parameter "lobe" = 2; did you mean "lobes"?') for message in messages)

@@ -1,0 +1,104 @@
+"""What ``evolve_wear`` refuses before it solves anything, and its file: read again, damaged, or not to be written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail
+
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, wear
+from ewr_fenicsx.errors import ModelError, OutputError
+
+WEAR = 1e-10
+
+
+def pose() -> ContactProblem:
+    return ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 600.0, harmonics=5)
+
+
+def test_a_joint_that_cannot_wear_is_refused():
+    with pytest.raises(ModelError, match="no pair can wear"):
+        evolve_wear(pose(), 5, 0.0)
+    bonded = ContactProblem(dovetail(), ContactLaws("bonded", "bonded"), 600.0)
+    with pytest.raises(ModelError, match='normal = "unilateral"'):
+        evolve_wear(bonded, 5)
+    with pytest.raises(ModelError, match="one for each of 6 pairs"):
+        evolve_wear(pose(), 5, -1.0)
+
+
+def test_nothing_wears_at_rest():
+    at_rest = replace(pose(), frequency=0.0, load={0: dovetail().load[0]})
+    with pytest.raises(ModelError, match="no pair can wear: frequency = 0 Hz"):
+        evolve_wear(at_rest, 5, WEAR)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"coefficient": [1e-11, 1e-11]}, "wear coefficient has 2 values for 6 pairs; give one, or one a pair"),
+        ({"coefficient": "steel"}, "wear coefficient = 'steel'; give numbers"),
+        ({"cycles": 2.5}, "cycles = 2.5, .*; give whole numbers from 1"),
+        ({"cycles": np.inf}, "cycles = inf, .*; give whole numbers from 1"),
+        ({"cycles": "many"}, "cycles = many, .*; give whole numbers from 1"),
+        ({"keep_every": 0}, "keep_every = 0, .*; give whole numbers from 1"),
+        ({"deepest": -1}, r"deepest = -1; give a positive depth \[m\], or None"),
+        ({"deepest": np.nan}, "deepest = nan; give a positive depth"),
+        ({"jump": 0.01}, r"jump = 0.01; give Tolerance\(share=0.01\) or the like, or None"),
+        ({"accuracy": "x"}, "accuracy = 'x'; give a relative error between 0 and 1"),
+        ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\("),
+    ],
+)
+def test_what_makes_no_wear_calculation_is_refused(arguments, message):
+    with pytest.raises(ModelError, match=message):
+        evolve_wear(**{"problem": pose()} | arguments)
+
+
+@pytest.mark.parametrize("arguments", [{"share": 0}, {"share": "x"}, {"first": 2.5}, {"depth": np.inf}])
+def test_what_makes_no_tolerance_is_refused(arguments):
+    with pytest.raises(ModelError, match="depth and share must be positive, first a whole number of at least 1 cycle"):
+        Tolerance(**arguments)
+
+
+@pytest.mark.parametrize("keep", [0, 20, 3000], ids=["empty", "cut in its header", "cut"])
+def test_a_damaged_file_of_wear_is_named(tmp_path, keep):
+    run = lambda: evolve_wear(pose(), 2, WEAR, file=tmp_path / "wear.h5")  # noqa: E731
+    run()
+    whole = (tmp_path / "wear.h5").read_bytes()
+    (tmp_path / "wear.h5").write_bytes(whole[:keep])
+    with pytest.raises(
+        OutputError, match=r"wear.h5 cannot be read: .*; give another place, or remove it to begin anew"
+    ):
+        run()
+
+
+@pytest.mark.parametrize(
+    "place, message",
+    [
+        ("taken/below/wear.h5", "taken/below/wear.h5 cannot be written: Not a directory; give a place"),
+        (".", "cannot be written: it is a folder; give a place where files can be"),
+        ("/proc/wear.h5", "/proc/wear.h5 cannot be written: .*; give a place where files can be"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_refused_before_any_solve(place, message, tmp_path, monkeypatch):
+    (tmp_path / "taken").write_text("a file")
+    monkeypatch.setattr(wear, "solve", lambda *_, **__: pytest.fail("solved"))
+    with pytest.raises(OutputError, match=message):
+        evolve_wear(pose(), 2, WEAR, file=tmp_path / place)
+
+
+def test_a_finished_file_is_read_where_nothing_can_be_written(tmp_path, monkeypatch):
+    run = lambda: evolve_wear(pose(), 2, WEAR, file=tmp_path / "wear.h5")  # noqa: E731
+    first = run()
+    monkeypatch.setattr(wear, "check_place", lambda _: pytest.fail("asked for a place to write"))
+    np.testing.assert_array_equal(run().depth, first.depth)
+
+
+def test_what_an_accuracy_of_wear_cannot_mean():
+    with pytest.raises(ModelError, match="between 0 and 1"):
+        evolve_wear(pose(), 5, WEAR, accuracy=2.0)
+    with pytest.raises(ModelError, match="modes: only where an accuracy is asked for"):
+        evolve_wear(pose(), 5, WEAR, modes=[0])
+    with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
+        evolve_wear(pose(), 5, WEAR, accuracy=0.1, file="wear.h5", more_modes=print)
