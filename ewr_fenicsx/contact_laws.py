@@ -91,7 +91,11 @@ class ContactLaws:
 
     @cached_property
     def kinds(self) -> tuple[LawKind, LawKind]:
-        """The normal and the tangential kind, with their parameters."""
+        """The normal and the tangential kind, with their parameters.
+
+        Raises:
+            ModelError: A parameter that neither knows, or one that is missing.
+        """
         classes = find_kind("normal", self.normal), find_kind("tangential", self.tangential)
         wanted = list_parameters("normal", self.normal), list_parameters("tangential", self.tangential)
         for name in self.parameters:

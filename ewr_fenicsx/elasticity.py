@@ -33,6 +33,9 @@ class EdgeForce:
         force: Resultant ``(F_x, F_y)`` [N].
         harmonic: 0 for a static force.
         phase: Of the force, ``Re F exp(i (h tau + phase))`` [rad].
+
+    Raises:
+        SceneError: A harmonic that is no whole number from 0, or a static force with a phase.
     """
 
     name: str

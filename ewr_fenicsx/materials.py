@@ -12,7 +12,11 @@ from ewr_fenicsx.errors import SceneError
 
 @dataclass(frozen=True)
 class Material:
-    """An isotropic elastic material: ``young`` [Pa], ``poisson``, ``density`` [kg/m^3]."""
+    """An isotropic elastic material: ``young`` [Pa], ``poisson``, ``density`` [kg/m^3].
+
+    Raises:
+        SceneError: A value out of its range.
+    """
 
     young: float
     poisson: float
@@ -31,7 +35,11 @@ TITANIUM = Material(113.8e9, 0.342, 4430.0)  # Ti-6Al-4V
 
 @dataclass(frozen=True)
 class Rayleigh:
-    """``D = alpha M + beta K``; ``alpha`` [1/s], ``beta`` [s]."""
+    """``D = alpha M + beta K``; ``alpha`` [1/s], ``beta`` [s].
+
+    Raises:
+        SceneError: One of them is negative.
+    """
 
     alpha: float = 0.0
     beta: float = 0.0
@@ -82,6 +90,9 @@ class PerMode:
 
     So have, where the joint holds bodies that float without it, as many of the lowest modes of full stick as there are
     rigid motions. Others have somewhat less while the joint is closed.
+
+    Raises:
+        SceneError: The ratio is not from 0 to below 1.
     """
 
     ratio: float
