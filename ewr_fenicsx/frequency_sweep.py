@@ -31,20 +31,17 @@ from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
-    check_place,
     fingerprint,
     gather_output,
     list_orders,
-    open_file,
     read_records,
-    replace_file,
     restore,
     strip,
     write_records,
-    write_table,
 )
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
+from ewr_fenicsx.whole_files import check_place, open_file, replace_file, write_table
 
 BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"

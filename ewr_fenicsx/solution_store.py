@@ -1,30 +1,19 @@
-"""Periodic solutions on disk and on their way between ranks: numbers only, the problem is stated anew.
-
-Files are complete or not there: they are written under another name and take their place in one move.
-"""
+"""Periodic solutions on disk and on their way between ranks: numbers only, the problem is stated anew."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from errno import EISDIR
-from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import h5py
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
-_UNWRITABLE = ("cannot be written", "give a place where files can be")
 _NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
 _TEXTS = ("reason", "fallbacks", "harmonics", "samples", "rho_tangential")
 _CHOSEN = ("harmonics", "samples", "rho_tangential")  # what an accuracy chooses of a problem, solution by solution
@@ -131,77 +120,6 @@ def read_records(group: h5py.Group) -> list[Record]:
         )
         for i in range(len(arrays["frequency"]))
     ]
-
-
-@contextmanager
-def replace_file(path: Path) -> Iterator[h5py.File]:
-    """An HDF5 file to write that takes the place of ``path`` when the block ends well: complete or not at all.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    with _naming(path, _UNWRITABLE):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with h5py.File(draft, "w") as file:
-                yield file
-            with draft.open("rb") as written:
-                os.fsync(written.fileno())
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
-
-
-@contextmanager
-def open_file(path: Path) -> Iterator[h5py.File | None]:
-    """A file that ``replace_file`` wrote, to read; None where there is none.
-
-    Raises:
-        OutputError: It is no such file, damaged, or may not be read.
-    """
-    with _naming(path, ("cannot be read", "give another place, or remove it to begin anew")):
-        if not path.is_file():
-            yield None
-            return
-        with h5py.File(path, "r") as file:
-            yield file
-
-
-def check_place(path: Path) -> None:
-    """Checks, before any work is done, that a file can be written; makes its folder.
-
-    Raises:
-        OutputError: It cannot.
-    """
-    with _naming(path, _UNWRITABLE):
-        if path.is_dir():
-            raise IsADirectoryError(EISDIR, "it is a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with NamedTemporaryFile(prefix=f".{path.name}.", dir=path.parent):
-            pass
-
-
-@contextmanager
-def _naming(path: Path, failure: tuple[str, str]) -> Iterator[None]:
-    """Makes what the system says of a file an error that names the file, what failed and the remedy."""
-    what, remedy = failure
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"{path} {what}: {error.strerror or error}; {remedy}") from error
-
-
-def write_table(path: str | Path, columns: Mapping[str, RealArray]) -> None:
-    """Write columns ``(n,)`` as CSV with a header, floats to the last digit.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    with _naming(Path(path), _UNWRITABLE), Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
 
 
 def fingerprint(*stated: object) -> str:

@@ -30,9 +30,10 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import check_place, fingerprint, gather_output, list_orders, write_table
+from ewr_fenicsx.solution_store import fingerprint, gather_output, list_orders
 from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearFile, WearState, WearStep
+from ewr_fenicsx.whole_files import check_place, write_table
 
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
 GROWTH = 4.0  # of one jump over the one before, at most

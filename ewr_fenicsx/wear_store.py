@@ -12,7 +12,8 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import open_file, read_records, replace_file, restore, strip, write_records
+from ewr_fenicsx.solution_store import read_records, restore, strip, write_records
+from ewr_fenicsx.whole_files import open_file, replace_file
 
 _FORMAT = "ewr_fenicsx wear, 2"
 
