@@ -109,20 +109,20 @@ def condense(
         else:
             forces = np.column_stack([rows.T, load[h]] if h in load else [rows.T])
             responses[j, :, : forces.shape[1]] = receptance(model, h * omega, readers, forces, generalised_inverse)
+    motion, rigid_load = readers @ modes, modes.T @ load.get(0, np.zeros(model.size)).real
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
-        motion = readers @ modes
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)
-        work = np.column_stack([motion[:m].T, modes.T @ load.get(0, np.zeros(model.size)).real])
+        work = np.column_stack([motion[:m].T, rigid_load])
         responses[0] += motion @ work / stiffness
     rigid = np.zeros((len(orders), readers.shape[0], modes.shape[1]))
-    rigid[0] = readers @ modes
+    rigid[0] = motion
     return DynamicCompliance(
         orders=orders,
         omega=omega,
         flexibility=np.ascontiguousarray(responses[:, :m, :m]),
         free_motion=responses[:, :m, m].copy(),
         rigid_motion=rows @ modes,
-        rigid_load=modes.T @ load.get(0, np.zeros(model.size)).real,
+        rigid_load=rigid_load,
         outputs={n: np.concatenate([responses[:, m + i], rigid[:, m + i]], axis=1) for i, n in enumerate(names)},
     )
 
