@@ -27,7 +27,7 @@ from ewr_fenicsx.gathering import vertex_interpolation
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.reduced_model import RealArray
-from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, result_folder
+from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, read_summary, result_folder
 from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
 
 STEPS = 32  # instants of the period in the field files
@@ -96,9 +96,7 @@ def write_results(
             own = {JIT: compiled, "write": time.perf_counter() - start - compiled}
             summary["seconds"] = add_times(chain.seconds, seconds or {"solve": solution.seconds}, own)
             (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    return tuple(
-        folder / name for name in on_rank_zero(comm, lambda: json.loads((folder / SUMMARY).read_text())["files"])
-    )
+    return tuple(folder / name for name in on_rank_zero(comm, lambda: read_summary(folder)["files"]))
 
 
 def list_files(files: Sequence[Path]) -> str:

@@ -57,10 +57,19 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
         raise
 
 
+def read_summary(folder: Path) -> dict:
+    """The summary of the run that filled a folder.
+
+    Raises:
+        OSError, ValueError: There is none, or it is no JSON.
+    """
+    return json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+
+
 def read_times(folder: Path, scene: Mapping) -> dict[str, float] | None:
     """Seconds by stage of the run that filled a folder; None where there is none, or it was one of another scene."""
     try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        summary = read_summary(folder)
         return dict(summary["seconds"]) if summary["scene"] == scene else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -110,7 +119,7 @@ def _find_foreign_files(folder: Path, own: Sequence[str]) -> set[str]:
     if own:
         return found - set(own)
     try:
-        return found - set(json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"])
+        return found - set(read_summary(folder)["files"])
     except (OSError, ValueError, KeyError, TypeError):
         return found
 
