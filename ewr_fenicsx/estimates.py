@@ -25,10 +25,10 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.newton import carry_over
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import leave_out_idle
+from ewr_fenicsx.warm_starts import carry_over
 
 LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does

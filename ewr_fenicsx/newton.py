@@ -23,10 +23,10 @@ from ewr_fenicsx.ladder import (
     trace_load,
     walk_weights,
 )
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
+from ewr_fenicsx.warm_starts import go_on_from, guide
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -36,7 +36,6 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
 TIGHTEST, LOOSEST = 1e-13, 1e-3
-SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -278,73 +277,3 @@ def wrap(
         seconds=seconds,
         unknowns=0 if best is None else balance.size,
     )
-
-
-def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[ComplexArray, ComplexArray, RealArray]:
-    """Forces and motions ``(n_h, m)`` and rigid coordinates of another problem's solution, in this one's rows.
-
-    Harmonics that it lacks are zero.
-    """
-    shape = (len(balance.basis.orders), balance.rows)
-    forces, motion = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=complex)
-    there = start.problem.system
-    moved = there.compliance.motion(start.forces, start.rigid)
-    kept = [(j, start.orders.index(h)) for j, h in enumerate(balance.basis.orders) if h in start.orders]
-    for direction, known in start.pair_forces.items():
-        pairs = np.arange(known.shape[1])
-        here, from_ = balance.system.row_of(direction, pairs), there.row_of(direction, pairs)
-        both = (here >= 0) & (from_ >= 0)
-        for j, i in kept:
-            forces[j, here[here >= 0]] = known[i, here >= 0]
-            motion[j, here[both]] = moved[i, from_[both]]
-    return forces, motion, start.rigid if start.rigid.size == balance.rigid else balance.full_stick[1]
-
-
-def go_on_from(
-    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
-) -> Attempt:
-    """Newton from the solution of another problem on the same model."""
-    attempts, steps = [], 0
-    for unknowns, near, taken in list_starts(start, balance, tolerance):
-        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, near=near))
-        steps += attempts[-1].iterations + taken
-        if attempts[-1].converged:
-            break
-    return replace(min(attempts, key=lambda a: a.residual), iterations=steps)
-
-
-def list_starts(
-    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float
-) -> Iterator[tuple[RealArray, bool, int]]:
-    """Unknowns to start at from another problem's solution, whether as near ones, and the Newton steps that they took.
-
-    Its forces serve as they are where they cause the same motion here (other harmonics, samples or laws). At another
-    frequency, with another model or load, a guiding step makes the two fit.
-    """
-    forces, motion, rigid = carry_over(start, balance)
-    carried = balance.pack(forces, rigid)
-    moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
-    same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
-    if same or np.linalg.norm(balance.residual(carried)) <= tolerance:
-        yield carried, True, 0
-        yield carried, False, 0
-        yield guide(balance, forces, motion, rigid), False, 1
-    else:
-        guided = guide(balance, forces, motion, rigid)
-        yield guided, False, 1
-        yield guided, True, 0
-
-
-def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
-    """Unknowns one Newton step from a neighbour's forces and motions, ``(n_h, m)``, and rigid coordinates.
-
-    The laws are linearised at these forces *and* motions, so that what each pair did there (open, stuck or slipping at
-    every sample) carries over, and the step makes the two fit the new compliance. The forces by themselves would move
-    the pairs anywhere near a resonance.
-    """
-    unknowns = balance.pack(forces, rigid)
-    step = balance.linearise(unknowns, motion)
-    try:
-        return unknowns - step.solve(step.residual)
-    except np.linalg.LinAlgError:
-        return unknowns

@@ -11,7 +11,7 @@ from small_models import PROBLEMS, dovetail, lift_off_oscillator
 from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
 from ewr_fenicsx.balance import Factorisation, HarmonicBalance
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.newton import carry_over, list_starts
+from ewr_fenicsx.warm_starts import carry_over, list_starts
 
 SLIPS, LIFTS_OFF = PROBLEMS["floating, slip"], PROBLEMS["lift-off"]
 
@@ -102,7 +102,7 @@ def test_a_near_start_that_fails_is_tried_with_shortened_steps(monkeypatch):
         limit = (0,) if near else ()
         return original(balance, unknowns, *arguments, *limit, near=near)
 
-    monkeypatch.setattr("ewr_fenicsx.newton.run_newton", fail_first)
+    monkeypatch.setattr("ewr_fenicsx.warm_starts.run_newton", fail_first)
     start = solve(SLIPS)
     tried.clear()
     found = solve(replace(SLIPS, harmonics=9), start)
