@@ -1,8 +1,15 @@
-"""The smallest scene that runs, as the text that a user would write."""
+"""The smallest scenes, as the text that a user would write: one that can be read, and one that runs."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+# To be read beside a file builder.py, whatever that holds
+HEAD = "[geometry]\nsource = 'builder.py'\n"
+PULL = "[loads.pull]\nboundary = 'tip'\nforce = [0, 20e3]\n"
+SHAKE = "[loads.shake]\nboundary = 'tip'\nforce = [50, 0]\nharmonic = 1\n"
+AT = "[excitation]\nfrequency = 1000\n"
+SCENE = HEAD + PULL + SHAKE + AT
 
 BLOCKS = Path(__file__).parent / "geometry" / "two_blocks.py"
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_scenes import AT, HEAD, PULL, SCENE, SHAKE
 
 from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
 from ewr_fenicsx.effects import list_effects
@@ -18,24 +19,7 @@ from ewr_fenicsx.scene import Scene, load_scene
 from ewr_fenicsx.scene_sense import doubt_modes
 
 ROOT = Path(__file__).parents[2]
-PULL = "[loads.pull]\nboundary = 'tip'\nforce = [0, 20e3]\n"
-SHAKE = "[loads.shake]\nboundary = 'tip'\nforce = [50, 0]\nharmonic = 1\n"
-HEAD = "[geometry]\nsource = 'builder.py'\n"
-AT = "[excitation]\nfrequency = 1000\n"
-SCENE = HEAD + PULL + SHAKE + AT
 JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write a scene beside a builder and load it."""
-    (tmp_path / "builder.py").write_text("def build(): ...")
-
-    def write_and_load(text: str, warn: bool = False) -> Scene:
-        (tmp_path / "scene.toml").write_text(text)
-        return load_scene(tmp_path / "scene.toml", warn=warn)
-
-    return write_and_load
 
 
 def test_flanks_have_what_the_contact_says_and_what_is_special(read):
