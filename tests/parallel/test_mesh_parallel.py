@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
+from mesh_counts import count
 from mpi4py import MPI
 
 from ewr_fenicsx.mesh import build_mesh
 
-ROOT = Path(__file__).parents[2]
-GEOMETRY, UNIT = ROOT / "geometry", ROOT / "tests" / "unit"
-sys.path.insert(0, str(UNIT))
-
-from test_mesh import count  # noqa: E402
-
+TESTS = Path(__file__).parents[1]
+GEOMETRY = TESTS.parent / "geometry"
 pytestmark = pytest.mark.parallel
 
 COUNT = """
 import json, sys
 from pathlib import Path
 from mpi4py import MPI
-sys.path.insert(0, {unit!r})
-from test_mesh import count
+sys.path.insert(0, {tests!r})
+from mesh_counts import count
 from ewr_fenicsx.mesh import build_mesh
 mesh = build_mesh(Path({source!r}), {parameters!r}, MPI.COMM_WORLD)
 found = MPI.COMM_WORLD.gather([count(mesh), dict(mesh.bodies), dict(mesh.boundaries), mesh.smallest_scaled_jacobian])
@@ -37,7 +33,7 @@ if found:
 @pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py"])
 def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
     script = tmp_path / "count.py"
-    script.write_text(COUNT.format(unit=str(UNIT), source=str(GEOMETRY / name), parameters={}))
+    script.write_text(COUNT.format(tests=str(TESTS), source=str(GEOMETRY / name), parameters={}))
     run = mpirun(2, "python", "-m", "mpi4py", script)
     assert run.returncode == 0, run.stderr
     (line,) = [line for line in run.stdout.splitlines() if line.startswith("FOUND")]

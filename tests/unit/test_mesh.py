@@ -8,8 +8,8 @@ import textwrap
 from pathlib import Path
 
 import gmsh
-import numpy as np
 import pytest
+from mesh_counts import count
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import MeshError
@@ -65,20 +65,6 @@ def gmsh_is_running() -> bool:
         return bool(gmsh.model.list())
     except Exception:  # gmsh raises nothing more specific
         return False
-
-
-def count(mesh: JointMesh) -> dict:
-    """Global numbers of everything, the same on every rank."""
-    topology = mesh.domain.topology
-    total = lambda tags, tag, d: mesh.domain.comm.allreduce(  # noqa: E731
-        int(np.count_nonzero(tags.find(tag) < topology.index_map(d).size_local))
-    )
-    return {
-        "nodes": mesh.domain.geometry.index_map().size_global,
-        "cells": topology.index_map(2).size_global,
-        "bodies": {name: total(mesh.cell_tags, tag, 2) for name, tag in mesh.bodies.items()},
-        "boundaries": {name: total(mesh.facet_tags, tag, 1) for name, tag in mesh.boundaries.items()},
-    }
 
 
 def build(path: Path, **parameters) -> JointMesh:
