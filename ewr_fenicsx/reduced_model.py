@@ -23,11 +23,12 @@ import h5py
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, OutputError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
+_NULL = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
@@ -156,8 +157,18 @@ class ReducedModel:
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
 
     def save(self, path: str | Path) -> None:
-        """Write the model to an HDF5 file, replacing it."""
-        with h5py.File(path, "w") as file:
+        """Write the model to an HDF5 file, replacing it, in a folder that is made where there is none.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            opened = h5py.File(path, "w")
+        except OSError as error:
+            why = error.strerror or error
+            raise OutputError(f"{path} cannot be written: {why}; give a place where files can be") from None
+        with opened as file:
             file.attrs["format"] = _FORMAT
             for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:
@@ -327,13 +338,33 @@ def _check_mass(mass: RealArray) -> None:
 
 
 def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
-    if modes.shape[1] == 0:
-        return
     force = np.abs(stiffness @ modes).max(axis=0)
-    scale = (np.abs(stiffness) @ np.abs(modes)).max(axis=0)
-    worst = int(np.argmax(force / scale))
-    if force[worst] > 1e-6 * scale[worst]:
+    scale = np.maximum((np.abs(stiffness) @ np.abs(modes)).max(axis=0), np.finfo(float).tiny)  # no stiffness at all
+    meets = force / scale
+    if np.any(meets > 1e-6):
+        worst = int(np.argmax(meets))
         raise ModelError(
-            f"rigid_modes[:, {worst}] meets elastic forces of {force[worst] / scale[worst]:.2g} of the stiffness; "
+            f"rigid_modes[:, {worst}] meets elastic forces of {meets[worst]:.2g} of the stiffness; "
             "give null vectors of the stiffness, or None to have them found"
+        )
+    _check_completeness(stiffness, modes)
+
+
+def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
+    """That the stiffness resists what is no rigid mode: another Cholesky factorisation."""
+    n = stiffness.shape[0]
+    diagonal = np.abs(np.diag(stiffness))
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
+    resisted = stiffness / root[:, None] / root + apart @ apart.T
+    try:
+        np.linalg.cholesky(resisted - _NULL * n * np.finfo(float).eps * np.eye(n))
+        complete = True
+    except np.linalg.LinAlgError:
+        complete = False
+    if not complete or apart.shape[1] < modes.shape[1]:
+        raise ModelError(
+            f"rigid_modes has {modes.shape[1]} columns, {apart.shape[1]} of them independent, and the stiffness leaves "
+            f"{find_rigid_modes(stiffness).shape[1]} motions free; give one for each of these, or None to have them "
+            "found"
         )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
 
 from ewr_fenicsx import ReducedModel
-from ewr_fenicsx.errors import EwrError, ModelError
+from ewr_fenicsx.errors import EwrError, ModelError, OutputError
 from ewr_fenicsx.reduced_model import find_rigid_modes, hold
 
 PLAIN = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.eye(2), "normal": [[1.0, 0.0]]}
@@ -150,6 +150,16 @@ def test_a_strange_file_is_refused(tmp_path):
         ReducedModel.load(tmp_path / "strange.h5")
 
 
+def test_a_model_that_cannot_be_saved_says_why(tmp_path):
+    model = ReducedModel(**PLAIN)
+    model.save(tmp_path / "no" / "folder yet" / "model.h5")
+    assert ReducedModel.load(tmp_path / "no" / "folder yet" / "model.h5").size == 2
+    with pytest.raises(OutputError, match=r"folder yet cannot be written: .*; give a place where files can be"):
+        model.save(tmp_path / "no" / "folder yet")
+    with pytest.raises(OutputError, match=r"deeper.h5 cannot be written: .*; give a place"):
+        model.save(tmp_path / "no" / "folder yet" / "model.h5" / "deeper.h5")
+
+
 def test_a_floating_blade_has_three_rigid_modes():
     model = dovetail()
     assert model.rigid_modes.shape == (26, 3)
@@ -157,6 +167,24 @@ def test_a_floating_blade_has_three_rigid_modes():
     force = np.abs(model.stiffness @ model.rigid_modes).max(axis=0)
     assert np.all(force < 1e-12 * (np.abs(model.stiffness) @ np.abs(model.rigid_modes)).max(axis=0))
     np.testing.assert_allclose(model.rigid_modes[14:], 0.0, atol=1e-12 * np.abs(model.rigid_modes).max())
+
+
+@pytest.mark.parametrize(
+    "given, told",
+    [
+        ([[1.0], [0.0], [0.0]], "1 columns, 1 of them independent, .* leaves 2 motions free"),
+        ([[0.0], [0.0], [0.0]], "1 columns, 0 of them independent"),
+        (np.zeros((3, 0)), "0 columns, 0 of them independent"),
+        ([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "3 columns, 2 of them independent"),
+    ],
+)
+def test_rigid_modes_that_are_given_must_be_all_there_are(given, told):
+    """One left out would silently be held: its body would not follow its mean load."""
+    bodies = {name: np.zeros((3, 3)) for name in ("damping", "stiffness")} | {"mass": np.eye(3), "normal": np.eye(3)}
+    bodies["stiffness"][2, 2] = 4.0  # two of three bodies float
+    with pytest.raises(ModelError, match=told):
+        ReducedModel(**bodies, rigid_modes=given)
+    assert ReducedModel(**bodies, rigid_modes=[[1.0, 1.0], [2.0, -1.0], [0.0, 0.0]]).rigid_modes.shape == (3, 2)
 
 
 def test_a_grounded_structure_has_none():
