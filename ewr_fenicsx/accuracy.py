@@ -23,6 +23,7 @@ from ewr_fenicsx.estimates import (
     match_mobility,
     measure_distance,
 )
+from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -134,14 +135,22 @@ def solve_to_accuracy(
         The last solution. ``reached`` and ``limit`` say whether the accuracy was reached, and if not, why.
 
     Raises:
-        ModelError: The accuracy is not between 0 and 1.
+        ModelError: The accuracy is not between 0 and 1; a limit is no whole number from 1, or below a load's harmonic;
+            ``modes`` are no coordinates of the model.
         NotConverged: Not even the first solve found a solution.
     """
     check_accuracy(accuracy)
     check_problem(problem)
+    modes = read_modes(modes, problem.model.size)
+    for name, count in (("first", first), ("highest", highest), ("most_unknowns", most_unknowns)):
+        if not is_whole(count, 1):
+            raise ModelError(f"{name} = {count!r}; give a whole number from 1")
     begin = time.perf_counter()
-    loaded = [h for h, f in problem.loads.items() if np.any(f)]
-    top, density, dropped = max([first, *(2 * h for h in loaded if h > 1)]), float(SAMPLES), frozenset()
+    loaded = [h for h, f in problem.excitation.items() if np.any(f)]
+    if max(loaded, default=0) > highest:
+        raise ModelError(f"highest = {highest}; loads act at harmonic {max(loaded)}: allow at least that")
+    top = min(int(highest), max([int(first), *(2 * h for h in loaded if h > 1)]))
+    density, dropped = float(SAMPLES), frozenset()
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
     solution, estimate, limit = start, None, ""
@@ -204,6 +213,18 @@ def check_accuracy(accuracy: float) -> None:
     """
     if not (isinstance(accuracy, Real) and 0 < accuracy < 1):
         raise ModelError(f"accuracy = {accuracy!r}; give a relative error between 0 and 1, such as 0.01")
+
+
+def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
+    """Which of a model's ``size`` coordinates are modal.
+
+    Raises:
+        ModelError: Something else than a list of its coordinates, each once.
+    """
+    listed = read_numbers("modes", modes)
+    if listed.ndim != 1 or len(set(listed)) < listed.size or not all(is_whole(m) and m < size for m in listed):
+        raise ModelError(f"modes = {modes!r}; list the modal coordinates, each once, from 0 to {size - 1}")
+    return tuple(int(m) for m in listed)
 
 
 def pose_level(problem: ContactProblem, top: int, density: float, dropped: frozenset[int]) -> ContactProblem:

@@ -298,7 +298,7 @@ def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...
     orders = np.array(solution.orders)
     size = np.linalg.norm(solution.forces, axis=1)
     whole = np.linalg.norm(size[orders > 0])
-    loaded = [h for h, f in solution.problem.loads.items() if np.any(f)]
+    loaded = [h for h, f in solution.problem.excitation.items() if np.any(f)]
     fixed = np.isin(orders, [0, 1, *loaded])
     small_first = [j for j in np.argsort(size) if not fixed[j]]
     out = {

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy
+from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
@@ -224,6 +224,7 @@ def frequency_response(
     if not family:
         raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
+    read_modes(modes, common.model.size)  # the points are solved again when the curve is there: too late for mistakes
 
     asked = {label: replace(common, laws=own) for label, own in family.items()}  # what makes no sense is told here
 

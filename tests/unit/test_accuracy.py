@@ -151,6 +151,39 @@ def test_unknowns_are_limited():
     assert found.solution.unknowns <= 40
 
 
+@pytest.mark.parametrize(
+    "choice, told",
+    [
+        ({"highest": -1}, "highest = -1; give a whole number from 1"),
+        ({"highest": "9"}, "highest = '9'; give a whole number from 1"),
+        ({"first": 2.5}, "first = 2.5; give a whole number from 1"),
+        ({"most_unknowns": np.nan}, "most_unknowns = nan; give a whole number from 1"),
+        ({"modes": 5}, "modes = 5; list the modal coordinates, each once, from 0 to 3"),
+        ({"modes": None}, "modes = None; give numbers"),
+        ({"modes": "ab"}, "modes = 'ab'; give numbers"),
+        ({"modes": [0, 4]}, r"modes = \[0, 4\]; list"),
+        ({"modes": [0, 0]}, r"modes = \[0, 0\]; list"),
+        ({"modes": [-1]}, r"modes = \[-1\]; list"),
+    ],
+)
+def test_choices_that_make_no_sense_are_refused(choice, told):
+    with pytest.raises(ModelError, match=told):
+        solve_to_accuracy(rub_and_lift_off(), 0.01, **choice)
+
+
+def test_harmonics_of_given_normal_forces_are_kept():
+    """As those of loads: they act on the bodies, and are what the limit of friction follows."""
+    laws = ContactLaws("prescribed", normal_force={0: 0.5, 6: 0.2}, friction=0.3)
+    posed = ContactProblem(lift_off_oscillator(), laws, FREQUENCY)
+    found = solve_to_accuracy(posed, 0.01)
+    assert found.reached and 6 in found.solution.orders
+    truth = solve(replace(posed, harmonics=80, samples=2048))
+    assert measure_distance(found.solution, truth) <= 0.01
+    with pytest.raises(ModelError, match="highest = 5; loads act at harmonic 6: allow at least that"):
+        solve_to_accuracy(posed, 0.01, highest=5)
+    assert max(solve_to_accuracy(posed, 0.01, highest=6).solution.orders) == 6
+
+
 def test_modes_that_are_too_few_are_the_limit():
     """The lift-off oscillator's first mass as if it were a modal coordinate: without it all is different."""
     found = solve_to_accuracy(rub_and_lift_off(), 0.01, modes=[0])

@@ -220,6 +220,7 @@ def test_a_single_frequency_is_one():
         ({"refine": np.nan}, "refine = nan; give"),
         ({"refine": np.inf}, "refine = inf; give"),
         ({"refine": "fine"}, "refine = 'fine'; give"),
+        ({"accuracy": 0.1, "modes": 5}, "modes = 5; list the modal coordinates"),
         ({"accuracy": 1.5}, "accuracy = 1.5; give a relative error between 0 and 1"),
         ({"laws": {}}, "laws = {}; give ContactLaws, or a dictionary"),
         ({"laws": [LAWS]}, r"laws has ContactLaws\(.*; give one ContactLaws for all pairs, or a list of \(pairs, Con"),
