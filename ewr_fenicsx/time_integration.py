@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import is_positive, is_whole
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -18,6 +20,7 @@ from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compi
 
 _STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
+_RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
 
@@ -259,11 +262,17 @@ def integrate(
         The last period. Not steady, or not solved, is said by ``converged`` and ``reason``.
 
     Raises:
-        ModelError: The problem has no period, the start does not fit it, or ``steps`` or ``periods`` is less than one.
+        ModelError: The problem has no period, the start does not fit it, ``steps``, ``periods`` or ``sweeps`` is no
+            whole number from one, or a tolerance is negative or no number.
     """
-    if periods < 1:
-        raise ModelError(f"periods = {periods}; give at least one")
     check_problem(problem)
+    for name, count in (("periods", periods), ("sweeps", sweeps)):
+        if not is_whole(count, 1):
+            raise ModelError(f"{name} = {count!r}; give a whole number, at least one")
+    if not (isinstance(tolerance, Real) and tolerance >= 0):
+        raise ModelError(f"tolerance = {tolerance!r}; give a positive one, or 0 to step all the periods")
+    if not is_positive(contact_tolerance):
+        raise ModelError(f"contact_tolerance = {contact_tolerance!r}; give a positive one, such as 1e-8")
     scheme = TimeScheme(problem, steps, theta)
     state = choose_start(problem, start)
     here = np.concatenate([scheme.contract(state.position), scheme.contract(state.velocity)])
@@ -274,12 +283,12 @@ def integrate(
     sweeps_taken = unsolved = 0
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
-    for _ in range(periods):
+    for _ in range(int(periods)):
         last = scheme.run_period(*np.split(here, 2), impulse, contact_tolerance, sweeps)
         end, impulse = np.concatenate([last.positions[-1], last.velocities[-1]]), last.impulses[-1]
         sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
         if not np.all(np.abs(end) < _BOUND):
-            reason = f"without bound in period {len(changes) + 1}"
+            reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"
             changes.append(np.inf)
             break
         changes.append(watch.measure_change(last))
@@ -294,7 +303,7 @@ def integrate(
         if walks_on(last, scheme):
             reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
         elif tolerance and theta == UNDAMPED:
-            reason += "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
+            reason += _RINGS
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
     return SteadyState(

@@ -21,12 +21,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
+from numbers import Real
 
 import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import is_whole
 from ewr_fenicsx.harmonics import sample_amplitudes
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -71,16 +73,16 @@ class TimeScheme:
         theta: 1/2 conserves energy, up to 1 damps what the step does not resolve.
 
     Raises:
-        ModelError: No period, no steps, or ``theta`` outside [1/2, 1].
+        ModelError: No period, no whole number of steps, or ``theta`` outside [1/2, 1].
     """
 
     def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
         if problem.frequency <= 0:
             raise ModelError(f"frequency = {problem.frequency} Hz; a time step needs a period: give a positive one")
-        if steps < 1:
-            raise ModelError(f"steps = {steps}; give at least one step a period")
-        if not 0.5 <= theta <= 1:
-            raise ModelError(f"theta = {theta}; from 1/2 (conserves energy) to 1 (damps); less than 1/2 is unstable")
+        if not is_whole(steps, 1):
+            raise ModelError(f"steps = {steps!r}; give a whole number of steps a period, at least one")
+        if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
+            raise ModelError(f"theta = {theta!r}; from 1/2 (conserves energy) to 1 (damps); less than 1/2 is unstable")
         self.problem, self.steps, self.theta = problem, int(steps), float(theta)
         self.dt = 1 / (problem.frequency * steps)
         self.system = problem.system

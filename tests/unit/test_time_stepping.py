@@ -226,6 +226,8 @@ def test_motion_without_bound_is_reported():
     problem = pose(model, ContactLaws(normal="prescribed", normal_force=0.1))
     result = integrate(problem, "rest", steps=400, periods=20)
     assert not result.converged and "without bound" in result.reason and result.periods < 20
+    assert "theta = 0.52" in result.reason
+    assert "theta" not in integrate(problem, "rest", steps=400, periods=20, theta=0.6).reason
 
 
 def test_histories_and_outputs_are_consistent():
@@ -273,7 +275,14 @@ def test_resampling_keeps_phase_and_wraps_round():
         ({"start": State(np.zeros(3), np.zeros(3))}, "expected 6"),
         ({"start": State(np.full(6, np.nan), np.zeros(6))}, "finite"),
         ({"steps": 0}, "steps = 0"),
+        ({"steps": 1.5}, "steps = 1.5"),
+        ({"steps": "8"}, "steps = '8'"),
         ({"periods": 0}, "periods = 0"),
+        ({"periods": 2.5}, "periods = 2.5"),
+        ({"sweeps": -4}, "sweeps = -4"),
+        ({"tolerance": -1.0}, "tolerance = -1.0"),
+        ({"tolerance": np.nan}, "tolerance = nan"),
+        ({"contact_tolerance": 0.0}, "contact_tolerance = 0.0"),
         ({"theta": 0.4}, "theta = 0.4"),
         ({"start": np.zeros(8)}, 'start is of type ndarray; give "rest"'),
     ],
