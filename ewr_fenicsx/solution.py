@@ -13,13 +13,16 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import is_whole
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.stability import find_side
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
+ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pull is rounding
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 
 
@@ -116,11 +119,13 @@ class PeriodicSolution:
             samples: Samples a period, from ``tau = omega t = 0`` on, its end left out.
 
         Raises:
-            ModelError: An unknown name.
+            ModelError: An unknown name, or no whole number of samples.
         """
         if name not in self.histories:
             known = self.histories
             raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
+        if not is_whole(samples, 1):
+            raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, at least one")
         model, basis = self.problem.model, FourierBasis(self.orders, samples)
         if name in ("normal_force", "friction_force"):
             direction = "normal" if name == "normal_force" else "tangential"
@@ -282,11 +287,12 @@ class PeriodicSolution:
         swinging = np.pi * float(np.array(self.orders) @ np.sum(np.abs(self.excitation * self.coordinates), axis=1))
         if abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
             coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
-        if merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
+        if self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
+        lines += list_ignored(self.problem)
         if self.fallbacks:
             stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
@@ -331,3 +337,22 @@ class PeriodicSolution:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)
+
+
+def list_ignored(problem: ContactProblem) -> list[str]:
+    """What a problem states and its laws take no notice of, a line each."""
+    lines = []
+    for pairs, laws in problem.groups:
+        if np.any(laws.initial_gap) and "initial_gap" not in list_parameters("normal", laws.normal):
+            lines.append(f'initial_gap is ignored at pair {pairs[0]}: normal = "{laws.normal}" knows no gap')
+    if problem.wear is not None and np.any(worn := (np.asarray(problem.wear) > 0) & ~problem.opens):
+        lines.append(f"wear is ignored at pair {np.argmax(worn)}: its normal law knows no gap")
+    rubs = np.flatnonzero(problem.friction > 0)
+    given = sample_amplitudes(problem.given_force, rubs, FINE)
+    if np.any(pulls := given < -ROUNDED_FORCE * np.abs(given).max(initial=0.0)):
+        instant, pair = np.unravel_index(np.argmin(given), pulls.shape)
+        lines.append(
+            f"the given normal_force of pair {rubs[pair]} pulls by up to {-given[instant, pair]:.3g} N: it then has "
+            'no friction, but nothing parts; normal = "unilateral" does'
+        )
+    return lines

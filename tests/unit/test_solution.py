@@ -356,6 +356,39 @@ def test_bodies_that_never_touch_are_told(gap, touches):
     assert solution.converged and solution.touches == touches
     assert (np.abs(solution.forces).max() > 1e-12) == touches
     assert ("no pair ever touches" in solution.summary()) != touches
+    assert touches or solution.cautions == (), "forces that are rounding pull no one"
+
+
+@pytest.mark.parametrize(
+    "laws, wear, told",
+    [
+        (ContactLaws("bonded", initial_gap=1e-3), None, 'initial_gap is ignored at pair 0: normal = "bonded"'),
+        (ContactLaws("prescribed", normal_force=1.0, initial_gap=[0.1]), None, 'at pair 0: normal = "prescribed"'),
+        (ContactLaws("bonded"), [1e-3], "wear is ignored at pair 0"),
+        (
+            ContactLaws("prescribed", normal_force={0: 0.1, 1: 0.3j}),
+            None,
+            "normal_force of pair 0 pulls by up to 0.2 N",
+        ),
+        (ContactLaws("prescribed", normal_force={0: 0.3, 1: 0.3j}), None, None),
+        (ContactLaws("prescribed", "frictionless", normal_force={0: 0.1, 1: 0.3j}), None, None),
+        (ContactLaws("bonded"), [0.0], None),
+        (ContactLaws(initial_gap=1e-3), [1e-3], None),
+    ],
+)
+def test_what_the_laws_take_no_notice_of_is_told(laws, wear, told):
+    solution = solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 9, wear=wear))
+    assert solution.converged
+    if told:
+        assert told in solution.summary()
+    else:
+        assert "ignored" not in solution.summary() and "pulls by" not in solution.summary()
+
+
+@pytest.mark.parametrize("samples", [0, -1, 2.5, "many"])
+def test_histories_need_a_number_of_samples(rubbing, samples):
+    with pytest.raises(ModelError, match=r"samples = .*give a whole number"):
+        rubbing.history("slip", samples)
 
 
 def test_where_nothing_may_part_nothing_is_told():
