@@ -88,7 +88,7 @@ def solve(
         )
     if not (isinstance(tolerance, Real) and TIGHTEST <= tolerance <= LOOSEST):
         raise ModelError(
-            f"tolerance = {tolerance}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
+            f"tolerance = {tolerance!r}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
             "above which even a start may pass for a solution; 1e-8 is usual"
         )
     begin = time.perf_counter()

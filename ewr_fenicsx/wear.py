@@ -216,8 +216,8 @@ def evolve_wear(
         )
     if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
         raise ModelError(
-            f"cycles = {cycles}, keep_every = {keep_every}, checkpoint_every = {checkpoint_every}; give whole numbers "
-            "from 1"
+            f"cycles = {cycles!r}, keep_every = {keep_every!r}, checkpoint_every = {checkpoint_every!r}; give whole "
+            "numbers from 1"
         )
     cycles, keep_every = int(cycles), int(keep_every)
     if not (deepest is None or is_positive(deepest)):
