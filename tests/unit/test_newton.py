@@ -147,7 +147,7 @@ def test_tolerances_that_mean_nothing_are_refused(tolerance):
         ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\(model, laws, frequency\)"),
         ({"linear_solver": "lu"}, "linear_solver = 'lu'; choose one of elimination, dense"),
         ({"linear_solver": "elimnation"}, 'did you mean "elimination"'),
-        ({"tolerance": "tight"}, "tolerance = tight; give one from 1e-13"),
+        ({"tolerance": "tight"}, "tolerance = 'tight'; give one from 1e-13"),
         ({"tolerance": None}, "tolerance = None; give one from 1e-13"),
     ],
 )
