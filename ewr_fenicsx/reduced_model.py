@@ -28,6 +28,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbe
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
+_MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
 _NULL = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
@@ -109,12 +110,7 @@ class ReducedModel:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
             _check_rigid_modes(self.stiffness, self.rigid_modes)
-
-        if self.rigid_modes.shape[1] and not self.mass.any():
-            raise ModelError(
-                f"mass is zero and the stiffness leaves {self.rigid_modes.shape[1]} rigid motions free, which nothing "
-                "would resist; give a mass, or hold the bodies"
-            )
+        _check_inertia(self.mass, self.stiffness, self.rigid_modes)
 
     def __repr__(self) -> str:
         return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
@@ -222,9 +218,7 @@ def find_rigid_modes(stiffness: RealArray) -> RealArray:
     Raises:
         ModelError: The stiffness has a negative eigenvalue beyond rounding.
     """
-    n = stiffness.shape[0]
-    diagonal = np.abs(np.diag(stiffness))
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    n, scale = stiffness.shape[0], 1 / _own_units(stiffness)
     values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
     rounding = 100 * n * np.finfo(float).eps * max(values[-1], 1e-300)
     if values[0] < -1e3 * rounding:
@@ -350,11 +344,30 @@ def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
     _check_completeness(stiffness, modes)
 
 
+def _own_units(stiffness: RealArray) -> RealArray:
+    """``(n,)`` roots of the stiffness's own diagonal, by which results do not depend on the coordinates' units."""
+    diagonal = np.abs(np.diag(stiffness))
+    return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+
+
+def _check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> None:
+    """That every rigid motion has kinetic energy: a coordinate with neither mass nor stiffness has none."""
+    if modes.shape[1] == 0:
+        return
+    root = _own_units(stiffness)
+    apart, scaled = scipy.linalg.orth(root[:, None] * modes), mass / root[:, None] / root
+    energies, motions = np.linalg.eigh(apart.T @ scaled @ apart)
+    if energies[0] <= _MASSLESS * np.abs(scaled).max():
+        moved = int(np.argmax(np.abs(apart @ motions[:, 0])))
+        raise ModelError(
+            f"the stiffness leaves {modes.shape[1]} rigid motions free, and the mass is zero in one of them, which "
+            f"nothing would resist: it moves coordinate {moved} most; give it a mass, hold it, or leave it out"
+        )
+
+
 def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
     """That the stiffness resists what is no rigid mode: another Cholesky factorisation."""
-    n = stiffness.shape[0]
-    diagonal = np.abs(np.diag(stiffness))
-    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    n, root = stiffness.shape[0], _own_units(stiffness)
     apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
     resisted = stiffness / root[:, None] / root + apart @ apart.T
     try:

@@ -33,7 +33,10 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"mass": -np.eye(2)}, "mass is not positive semidefinite: scaled eigenvalue -1; check its sign"),
         ({"mass": [[1.0, 2e-5], [2e-5, 1e-10]]}, "mass is not positive semidefinite: scaled eigenvalue -0.0289"),
         ({"mass": [[0.0, 4.0], [4.0, 0.0]]}, "mass is not positive semidefinite: scaled eigenvalue -1e"),
-        ({"mass": np.zeros((2, 2)), "stiffness": np.diag([1.0, 0.0])}, "mass is zero .* leaves 1 rigid motions free"),
+        (
+            {"mass": np.zeros((2, 2)), "stiffness": np.diag([1.0, 0.0])},
+            "leaves 1 rigid motions free, and the mass is zero in one",
+        ),
         ({"stiffness": np.eye(2) * (1 + 0.01j)}, "stiffness = .* is complex; give real .* structural damping belongs"),
         ({"mass": [[1.0, 1j], [1j, 1.0]]}, "mass = .* is complex"),
         ({"mass": "a"}, "mass = 'a'; give numbers"),
@@ -185,6 +188,15 @@ def test_rigid_modes_that_are_given_must_be_all_there_are(given, told):
     with pytest.raises(ModelError, match=told):
         ReducedModel(**bodies, rigid_modes=given)
     assert ReducedModel(**bodies, rigid_modes=[[1.0, 1.0], [2.0, -1.0], [0.0, 0.0]]).rigid_modes.shape == (3, 2)
+
+
+@pytest.mark.parametrize("damper", [0.0, 0.5])
+def test_a_coordinate_with_neither_mass_nor_stiffness_is_named(damper):
+    """As one that another program left behind; the modes of the model would be no numbers."""
+    with pytest.raises(ModelError, match=r"1 rigid motions free, and the mass is zero in one .* coordinate 1 most"):
+        ReducedModel(
+            mass=np.diag([1.0, 0.0]), damping=np.diag([0.1, damper]), stiffness=np.diag([1.0, 0.0]), normal=[[1.0, 0.0]]
+        )
 
 
 def test_a_grounded_structure_has_none():
