@@ -27,6 +27,9 @@ NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near;
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
 SMALLEST_STEP = 2e-5  # of the frequency
 TRACED_POINTS = 600
+# Distances of a traced point, in steps, from which it is another branch's. At a sharp corner each may miss the way that
+# another finds: a wide one leaps to a branch near by, a narrow one takes the corner for a dead end.
+STRAYS = (3.0, 2.0, 1.5)
 BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
@@ -179,7 +182,23 @@ class Follower:
         return found, min(change, compare_states(state, last + ratio * (last - read_state(before)))), change
 
     def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
-        """Arc-length continuation from a point next to a fold until the branch passes ``target``; ends with that."""
+        """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there."""
+        for stray in STRAYS:
+            points, why = self._trace_arc(here, before, target, stray)
+            if not why:
+                return Curve(points)
+        # what was traced so far is on no way to the target
+        try:
+            cold = solve(self.problem_at(target), tolerance=self.tolerance)
+        except NotConverged as error:
+            return Curve([], [Jump((here.problem.frequency, target), f"{why}; {error}")])
+        why += "; solved from cold, maybe on another branch"
+        return Curve([cold], [Jump((here.problem.frequency, target), why)])
+
+    def _trace_arc(
+        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float
+    ) -> tuple[list[PeriodicSolution], str]:
+        """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
         unit = HarmonicBalance(here.problem.system).force_unit
         span = self.highest - self.lowest
         least, most = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest), self.highest + BEYOND * span
@@ -191,38 +210,28 @@ class Follower:
             balance = balance_at(solution.problem.frequency)
             return BranchPoint(solution.problem.frequency, balance.pack(solution.forces, solution.rigid), 0)
 
-        curve, why = Curve(), "the branch was lost by arc-length continuation"
+        points: list[PeriodicSolution] = []
         last = None if before is None else as_branch_point(before)
         point = as_branch_point(here)
         first = 0.05 if last is None else max(1e-6, measure_arc(last, point, span))
         branch = trace_branch(
-            balance_at, point, span, step=first, smallest_step=1e-7, largest_step=0.1, before=last, stray=3.0
+            balance_at, point, span, step=first, smallest_step=1e-7, largest_step=0.1, before=last, stray=stray
         )
         for point in branch:
             if not least <= point.parameter <= most:
-                why = f"the branch left the range of frequencies at {point.parameter:g} Hz"
-                break
-            if len(curve.points) >= TRACED_POINTS:
-                why = f"{TRACED_POINTS} points of arc-length continuation did not reach it"
-                break
+                return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
+            if len(points) >= TRACED_POINTS:
+                return points, f"{TRACED_POINTS} points of arc-length continuation did not reach it"
             traced = self._wrap(point, balance_at)
             if point.parameter >= target:
-                earlier = curve.points[-1] if curve.points else here
+                earlier = points[-1] if points else here
                 ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)
                 found = solve_from(self.problem_at(target), traced, earlier, ratio, self.tolerance)
                 if found.converged:
-                    curve.points.append(found)
-                    return curve
-                why = f"past its folds, the branch was lost before {target:g} Hz"
-                break
-            curve.points.append(traced)
-        # what was traced so far is on no way to the target
-        try:
-            cold = solve(self.problem_at(target), tolerance=self.tolerance)
-        except NotConverged as error:
-            return Curve([], [Jump((here.problem.frequency, target), f"{why}; {error}")])
-        why += "; solved from cold, maybe on another branch"
-        return Curve([cold], [Jump((here.problem.frequency, target), why)])
+                    return [*points, found], ""
+                return points, f"past its folds, the branch was lost before {target:g} Hz"
+            points.append(traced)
+        return points, "the branch was lost by arc-length continuation"
 
     def _wrap(self, point: BranchPoint, balance_at: Callable[[float], HarmonicBalance]) -> PeriodicSolution:
         balance = balance_at(point.parameter)

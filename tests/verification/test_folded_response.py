@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, following, frequency_response, solve
 from ewr_fenicsx.balance import HarmonicBalance
 
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
@@ -92,6 +92,29 @@ def test_a_trial_step_to_no_frequency_ends_no_sweep():
     curve = frequency_response(model, laws, np.linspace(0.13, 0.30, 35), harmonics=15, progress=False)
     assert np.isin(np.linspace(0.13, 0.30, 35), curve.frequencies).mean() > 0.9
     assert curve.frequencies.min() > 0.1
+
+
+def test_where_one_trace_loses_the_branch_a_narrower_one_is_tried(curve, monkeypatch):
+    """At a corner a wide step may leap to another branch, from which no way leads on."""
+    trace, widths = following.trace_branch, []
+
+    def leap_where_wide(*arguments, stray, **settings):
+        widths.append(stray)
+        for n, point in enumerate(trace(*arguments, stray=stray, **settings)):
+            if stray == max(following.STRAYS) and n == 5:
+                return
+            yield point
+
+    monkeypatch.setattr(following, "trace_branch", leap_where_wide)
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    frequencies = np.unique(np.round(np.append(np.linspace(0.12, 0.22, 21), BISTABLE), 12))
+    again = frequency_response(model, LAWS, frequencies, harmonics=9, progress=False)
+    assert len(widths) > 1 and widths[1] < widths[0]
+    assert again.jumps == () and again.missing == ()
+    assert np.count_nonzero(np.diff(np.sign(np.diff(again.frequencies)))) == 2
+    for f in frequencies:
+        (first,), (second,) = (np.flatnonzero(np.abs(c.frequencies - f) < 1e-9) for c in (again, curve))
+        assert again.output("tip")[first, 1] == pytest.approx(curve.output("tip")[second, 1], rel=1e-6)
 
 
 def test_every_point_of_the_curve_solves_its_problem(curve):
