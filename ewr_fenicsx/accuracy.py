@@ -232,7 +232,11 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
     kept = tuple(h for h in range(top + 1) if h not in dropped)
     chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
-    return posed if problem.rho_tangential is not None else replace(posed, rho_tangential=match_mobility(posed))
+    if problem.rho_tangential is not None:
+        return posed
+    sprung = replace(posed, closure="spring")
+    weight = match_mobility(sprung)  # of laws that know no springs
+    return sprung if weight is None else replace(sprung, rho_tangential=weight)
 
 
 def judge(

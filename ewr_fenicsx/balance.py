@@ -132,11 +132,12 @@ class HarmonicBalance:
         self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis
     ) -> dict[Variable, Callable[[], RealArray]]:
         """Variable -> what computes it at all rows over one period, ``(n_t, m)``, once and only when called."""
-        rate = self.rate[:, None]
+        rate, oscillates = self.rate[:, None], (self.rate != 0)[:, None]
         synthesise = {
             "force": lambda: basis.synthesise(forces),
             "force_rate": lambda: basis.synthesise(rate * forces),
             "displacement": lambda: basis.synthesise(motion),
+            "oscillation": lambda: basis.synthesise(oscillates * motion),
             "velocity": lambda: basis.synthesise(rate * motion),
         }
         return {name: cache(compute) for name, compute in synthesise.items()}
@@ -159,10 +160,10 @@ class HarmonicBalance:
         derivatives, residuals = [], []
         for law, rows, response in zip(self.system.laws, self.law_rows, responses, strict=True):
             residuals.append(response.residual)
-            for variable, direction, values in response.partials:
+            for variable, direction, values, since in response.partials:
                 columns = self.system.row_of(direction, law.pairs)
                 if np.all(columns >= 0):  # else it is given, not unknown
-                    derivatives.append(Derivative(rows, columns, variable, values))
+                    derivatives.append(Derivative(rows, columns, variable, values, since))
         step = NewtonStep(self, tuple(derivatives), self._project(forces, rigid, residuals))
         if motion is not None:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
@@ -213,7 +214,7 @@ class NewtonStep:
         """``(m,)`` rows whose derivatives are the same at every sample."""
         changes = np.zeros(self.balance.rows, dtype=bool)
         for d in self.derivatives:
-            changes[d.rows] |= np.any(d.values != d.values[0], axis=0)
+            changes[d.rows] |= d.changes
         return ~changes
 
     @cached_property
@@ -251,7 +252,8 @@ class NewtonStep:
         signals = balance.signals(forces, motion, basis)
         samples = np.zeros((basis.samples, balance.rows))
         for d in self.derivatives:
-            samples[:, d.rows] += d.values * signals[d.variable]()[:, d.columns]
+            seen = signals[d.variable]()[:, d.columns]
+            samples[:, d.rows] += d.values * (seen if d.since is None else np.take_along_axis(seen, d.since, axis=0))
         coefficients = basis.project(samples)
         rigid_balance = np.zeros(0)
         if basis.has_mean:
@@ -304,7 +306,8 @@ class NewtonStep:
             if pick.size == 0:
                 continue
             at, columns = place[d.rows[pick]], d.columns[pick]
-            T = basis.multiplication(d.values[:, pick])
+            values = d.values[:, pick]
+            T = basis.multiplication(values) if d.since is None else basis.recollection(values, d.since[:, pick])
             if basis.has_mean:
                 T[:, 0, :] *= balance.static_row[d.rows[pick], None]
             if d.by_rate:
@@ -315,8 +318,10 @@ class NewtonStep:
                 at, columns, T = at[~inside], columns[~inside], T[~inside]
                 if at.size == 0:
                     continue
-            elif d.by_rate and basis.has_mean:
-                T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]]
+            elif d.blind_to_mean and basis.has_mean:
+                T[:, :, 0] = 0.0
+                if d.since is None:
+                    T[:, 0, 0] = balance.static_displacement_row[d.rows[pick]]
             V, v, g = elimination.follow(d.by_force, columns)
             rows = max(1, BATCH // (n_c * n_c * mixed.size))
             for first in range(0, at.size, rows):

@@ -166,6 +166,7 @@ def pose_problem(
         samples=solver.samples if frequency else None,
         rho_normal=solver.rho_normal,
         rho_tangential=solver.rho_tangential,
+        closure=solver.closure,
     )
 
 

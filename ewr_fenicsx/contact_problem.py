@@ -15,9 +15,10 @@ from typing import get_args
 
 import numpy as np
 
+from ewr_fenicsx.closure import Closure, find_springs
 from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
 from ewr_fenicsx.contact_laws import ContactLaws
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
@@ -43,6 +44,9 @@ class ContactProblem:
         samples: Samples a period for the laws; None: 32 a highest harmonic or more (a power of two), at least 128.
         rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
+        closure: What stands for the harmonics left out in Coulomb's law: ``"dashpot"``, ``v = rho_tangential lam``;
+            ``"spring"``, ``q = d lam`` with each pair's own flexibility beyond the highest harmonic; or ``(K_c,)`` such
+            flexibilities ``d`` [m/N], zero for dashpots. Springs are mostly more accurate at the same harmonics.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.
@@ -59,6 +63,7 @@ class ContactProblem:
     samples: int | None = None
     rho_normal: float | RealArray | None = None
     rho_tangential: float | RealArray | None = None
+    closure: Closure | RealArray = "dashpot"
     load: Mapping[int, ComplexArray] | None = field(default=None, repr=False)
     wear: RealArray | None = field(default=None, repr=False)
     generalised_inverse: GeneralisedInverse = field(default="inertia relief", repr=False)
@@ -76,6 +81,13 @@ class ContactProblem:
             )
         if self.generalised_inverse not in (known := get_args(GeneralisedInverse)):
             raise ModelError(f"generalised_inverse = {self.generalised_inverse!r}; choose one of {', '.join(known)}")
+        if isinstance(self.closure, str) and self.closure not in (known := get_args(Closure)):
+            hint = nearest(self.closure, known)
+            raise ModelError(f'closure = "{self.closure}"; choose one of {", ".join(known)}, or flexibilities{hint}')
+        if not isinstance(self.closure, str):
+            given = spread_over_pairs(self.closure, np.arange(self.model.pairs), self.model.pairs, "closure")
+            if not np.all((given >= 0) & (given < np.inf)):
+                raise ModelError(f"closure = {self.closure}; flexibilities must be finite and not negative")
         for name in ("rho_normal", "rho_tangential"):
             value = getattr(self, name)
             if value is None:
@@ -106,6 +118,11 @@ class ContactProblem:
     def basis(self) -> FourierBasis:
         """Fourier basis of the unknowns."""
         return select_basis(self.harmonics, self.samples)
+
+    @property
+    def has_springs(self) -> bool:
+        """Whether springs rather than dashpots stand for the harmonics left out."""
+        return not (isinstance(self.closure, str) and self.closure == "dashpot")
 
     @property
     def omega(self) -> float:
@@ -288,7 +305,7 @@ def compose(problem: ContactProblem) -> ContactSystem:
         laws=tuple(
             law
             for pairs, laws in problem.groups
-            for law in build_laws(problem, pairs, laws, layout.index, flexibility, rubs_to_hold)
+            for law in build_laws(problem, pairs, laws, layout, flexibility, rubs_to_hold)
         ),
         flexibility=flexibility,
         basis=basis,
@@ -300,13 +317,14 @@ def build_laws(
     problem: ContactProblem,
     pairs: np.ndarray,
     laws: ContactLaws,
-    index: Mapping[str, np.ndarray],
+    layout: Layout,
     flexibility: RealArray,
     rubs_to_hold: bool,
 ) -> list[Law]:
     """Law objects of one group of pairs."""
     pick = lambda value: spread_over_pairs(value, pairs, problem.model.pairs)  # noqa: E731
-    weights, own = {}, {d: flexibility[rows[pairs]] for d, rows in index.items() if np.all(rows[pairs] >= 0)}
+    rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
+    weights, own = {}, {direction: flexibility[at] for direction, at in rows.items()}
     for direction in own:
         if direction == "normal":
             stiffness = 1 / own[direction]
@@ -315,8 +333,21 @@ def build_laws(
             unit = (problem.omega or 1.0) * own[direction]
             rho = DEFAULT_TANGENTIAL_WEIGHT * unit if problem.rho_tangential is None else pick(problem.rho_tangential)
         weights[direction] = rho
-    group = PairGroup(pairs, problem.model.pairs, own, weights, problem.clearance[pairs], rubs_to_hold)
+    closing = {d: choose_closing(problem, pairs, layout, at, own[d]) for d, at in rows.items() if d != "normal"}
+    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, problem.clearance[pairs], rubs_to_hold)
     return [law for kind in laws.kinds for law in kind.build(group)]
+
+
+def choose_closing(
+    problem: ContactProblem, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray
+) -> RealArray:
+    """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
+    highest = problem.basis.orders[-1]
+    if not isinstance(problem.closure, str):
+        return spread_over_pairs(problem.closure, pairs, problem.model.pairs)
+    if problem.closure == "dashpot" or not highest:
+        return np.zeros(pairs.size)
+    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
 
 
 def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance: DynamicCompliance) -> bool:

@@ -71,7 +71,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     loaded = [h for h, f in problem.loads.items() if h and f.any()]
     if not loaded or not problem.frequency:
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
-    problem = replace(problem, rho_normal=None, rho_tangential=None, samples=None)
+    problem = replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot", samples=None)
     with count_progress("reference", 1, progress) as tell:
         find = step_reference if against_time_stepping else solve_reference
         reference, own, name, highest = find(problem, max(loaded))
@@ -114,7 +114,7 @@ def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, floa
     """Figures of a harmonic solve of high order, its estimated error, its name and its highest harmonic."""
     highest = max(2 * loaded + 2, min(HIGHEST, MOST_UNKNOWNS // (2 * max(1, problem.system.rows.shape[0]))))
     posed = replace(problem, harmonics=highest)
-    solution = solve(replace(posed, rho_tangential=match_mobility(posed)))
+    solution = solve(replace(posed, closure="spring", rho_tangential=match_mobility(posed)))
     return measure_figures(solution), estimate_errors(solution).total, f"harmonic balance, N = {highest}", highest
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, RealArray, Response, register_law
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
+from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
 MEAN_FRICTION_REGULARISATION = 1e-4
@@ -46,12 +47,15 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        friction, rho = group.spread(self.friction), group.weight["tangential"]
-        if self.static_friction == "zero":
-            return (Coulomb(group.pairs, friction, rho, static_row=0.0, static_force_row=1.0),)
-        eps = MEAN_FRICTION_REGULARISATION
-        springs = eps / group.flexibility["tangential"] if group.hangs_on_friction else 0.0
-        return (Coulomb(group.pairs, friction, rho, 1.0, eps, springs),)
+        friction, eps = group.spread(self.friction), MEAN_FRICTION_REGULARISATION
+        springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
+        weights, closing = group.weight["tangential"], group.closing["tangential"]
+        laws = []
+        for kind, given, picked in ((Coulomb, weights, closing <= 0), (SprungCoulomb, closing, closing > 0)):
+            mean = (0.0, 1.0) if self.static_friction == "zero" else (1.0, eps, springs[picked])
+            if np.any(picked):
+                laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean))
+        return tuple(laws)
 
 
 @register_law("tangential", "frictionless")

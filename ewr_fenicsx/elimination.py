@@ -60,6 +60,7 @@ class Derivative:
     columns: np.ndarray  # (K,)
     variable: Variable
     values: RealArray  # (n_t, K)
+    since: np.ndarray | None = None  # (n_t, K) samples at which the variable is taken; None: each at its own
 
     @property
     def by_force(self) -> bool:
@@ -70,6 +71,18 @@ class Derivative:
     def by_rate(self) -> bool:
         """By a derivative in time."""
         return self.variable in ("velocity", "force_rate")
+
+    @property
+    def blind_to_mean(self) -> bool:
+        """By a motion without its mean."""
+        return self.variable in ("velocity", "oscillation")
+
+    @property
+    def changes(self) -> np.ndarray:
+        """``(K,)`` whether the derivative differs from sample to sample, or reaches back to another."""
+        if self.since is not None:
+            return np.any(self.values != 0, axis=0)
+        return np.any(self.values != self.values[0], axis=0)
 
 
 def apply_harmonics(basis: FourierBasis, T: RealArray, V: ComplexArray) -> RealArray:
@@ -183,8 +196,8 @@ class Elimination:
             if d.by_force:
                 A[:, at, columns] += value
                 continue
-            if d.by_rate:
-                value[mean] += balance.static_displacement_row[d.rows[pick]]
+            if d.blind_to_mean:
+                value[mean] = balance.static_displacement_row[d.rows[pick]] if d.since is None else 0.0
             A[:, at] += value[:, :, None] * H[:, columns]
             A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
             toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]

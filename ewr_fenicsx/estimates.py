@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.compliance import condense
+from ewr_fenicsx.closure import list_beyond, measure_beyond
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
@@ -209,7 +209,7 @@ def estimate_weight(solution: PeriodicSolution, figure: Figure | None = None) ->
 
 
 def read_friction_weight(problem: ContactProblem) -> RealArray | None:
-    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without friction [(m/s)/N]."""
+    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N]."""
     weight, found = np.ones(problem.model.pairs), False
     for law in problem.system.laws:
         if law.direction == "tangential" and hasattr(law, "rho"):
@@ -243,10 +243,9 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     weight = read_friction_weight(problem)
     if weight is None:
         return None
-    highest, system = problem.basis.orders[-1], problem.system
-    beyond = tuple(dict.fromkeys(round(highest * f) + 1 for f in (1.0, 1.25, 1.5)))
-    compliance = condense(system.model, system.rows, {}, problem.omega, beyond)
-    own = np.abs(np.diagonal(compliance.flexibility, axis1=1, axis2=2)) * (np.array(beyond) * problem.omega)[:, None]
+    system, beyond = problem.system, list_beyond(problem.basis.orders[-1])
+    own = np.abs(measure_beyond(system.model, system.rows, problem.omega, beyond))
+    own *= (np.array(beyond) * problem.omega)[:, None]
     mobility = np.exp(np.log(own).mean(axis=0))
     for law in system.laws:
         if law.direction == "tangential" and hasattr(law, "rho"):

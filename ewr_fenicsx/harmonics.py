@@ -106,6 +106,28 @@ class FourierBasis:
             np.where(column, (difference + total).imag, (difference - total).real),
         )
 
+    def recollection(self, weights: RealArray, since: np.ndarray) -> RealArray:
+        """Matrices of "take at an earlier sample, multiply by a weight in time, then project".
+
+        What is taken is held over stretches of the period, so that each stretch is one product.
+
+        Args:
+            weights: ``(n_t, m)`` samples of the weights.
+            since: ``(n_t, m)`` sample at which each is taken; not looked at where the weight is zero.
+
+        Returns:
+            ``(m, n_c, n_c)`` real matrices on real coefficients.
+        """
+        matrices = np.zeros((weights.shape[1], self.coefficients, self.coefficients))
+        for matrix, weight, at in zip(matrices, weights.T, since.T, strict=True):
+            used = np.flatnonzero(weight)
+            if used.size:
+                used = used[np.argsort(at[used], kind="stable")]
+                taken, first = np.unique(at[used], return_index=True)
+                held = np.add.reduceat(self._analysis.T[used] * weight[used, None], first)
+                np.matmul(held.T, self._synthesis[taken], out=matrix)
+        return matrices
+
     def differentiate_columns(self, matrices: RealArray, omega: float) -> RealArray:
         """Matrices ``(..., n_c)`` that act on velocities, as matrices that act on displacements."""
         rate = omega * np.array(self.orders)[self.slot]

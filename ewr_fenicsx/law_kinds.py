@@ -22,7 +22,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 
 Side = Literal["normal", "tangential"]
-Variable = Literal["force", "force_rate", "displacement", "velocity"]
+Variable = Literal["force", "force_rate", "displacement", "oscillation", "velocity"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,7 @@ class Motion(NamedTuple):
     displacement: Mapping[str, RealArray]  # [m]
     velocity: Mapping[str, RealArray]  # [m/s]
     force_rate: Mapping[str, RealArray] = MappingProxyType({})  # [N/s]
+    oscillation: Mapping[str, RealArray] = MappingProxyType({})  # displacement less its mean [m]
 
 
 class Partial(NamedTuple):
@@ -64,6 +65,7 @@ class Partial(NamedTuple):
     variable: Variable
     direction: str
     values: RealArray  # (n_t, K)
+    since: np.ndarray | None = None  # (n_t, K) samples at which the variable is taken; None: each at its own
 
 
 class Response(NamedTuple):
@@ -82,7 +84,7 @@ class Law(Protocol):
         static_row: Weight of the projected law in its mean equation (0 leaves the mean force to ``static_force_row``).
         static_force_row: Weight of the mean force in its mean equation.
         static_displacement_row: ``(K,)`` or scalar weight of the mean displacement in its mean equation [N/m]; only a
-            law with a partial derivative by its velocity may have one.
+            law with a partial derivative by its velocity or oscillation may have one.
         static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
         stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
         linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
@@ -123,6 +125,8 @@ class PairGroup:
         flexibility: Direction with an unknown force -> ``(K,)`` static flexibility [m/N].
         weight: Direction -> ``(K,)`` weight ``rho`` that the user chose, or the default: [N/m] on the normal
             displacement, [(m/s)/N] on tangential velocities.
+        closing: Tangential direction -> ``(K,)`` flexibility of the springs that close the truncation [m/N]; zero where
+            dashpots, the weights, do.
         clearance: ``(K,)`` initial gap plus wear [m].
         hangs_on_friction: Whether a floating body is held by nothing but friction.
     """
@@ -131,6 +135,7 @@ class PairGroup:
     total: int
     flexibility: Mapping[str, RealArray]
     weight: Mapping[str, RealArray]
+    closing: Mapping[str, RealArray]
     clearance: RealArray
     hangs_on_friction: bool
 

@@ -159,8 +159,15 @@ def list_remedies(problem: ContactProblem) -> str:
 
 
 def has_own_weights(problem: ContactProblem) -> bool:
-    """Whether a problem gives weights of its laws, which may be far from the defaults and then cost many steps."""
-    return problem.rho_normal is not None or problem.rho_tangential is not None
+    """Whether a problem gives weights of its laws, or their closure, which may cost many steps by themselves."""
+    return use_default_weights(problem) is not problem
+
+
+def use_default_weights(problem: ContactProblem) -> ContactProblem:
+    """The problem with the weights and the closure that need the fewest steps; itself where it has these."""
+    if problem.rho_normal is None and problem.rho_tangential is None and not problem.has_springs:
+        return problem
+    return replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot")
 
 
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
@@ -238,7 +245,7 @@ def leave_default_weights(
     problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
     """Solve with the default weights, then follow the solution to the problem's own."""
-    usual = replace(problem, rho_normal=None, rho_tangential=None)
+    usual = use_default_weights(problem)
     solution = solve(usual, tolerance=tolerance, linear_solver=linear_solver, raise_on_failure=False)
     unknowns = balance.pack(solution.forces, solution.rigid)
     found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
@@ -246,7 +253,7 @@ def leave_default_weights(
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
     guided = go_on_from(solution, balance, tolerance, linear_solver)
-    if guided.converged:
+    if guided.converged or problem.has_springs:  # no path leads from dashpots to springs
         return replace(guided, iterations=found.iterations + guided.iterations)
     walked = walk_weights(balance, tolerance, usual.system, found)
     return replace(walked, iterations=walked.iterations + guided.iterations)

@@ -62,6 +62,8 @@ def find_doubts(scene: Scene) -> Iterator[str]:
     for key, law in (("rho_normal", "unilateral"), ("rho_tangential", "coulomb")):
         if getattr(scene.solver, key) is not None and not any(law in (c.normal, c.tangential) for c in joint.values()):
             yield f'solver.{key} = {getattr(scene.solver, key):g} does nothing: no flank has the law "{law}"; remove it'
+    if scene.solver.closure == "spring" and not any(c.tangential == "coulomb" for c in joint.values()):
+        yield 'solver.closure = "spring" does nothing: no flank has the law "coulomb"; remove it'
 
 
 def doubt_extent(extent: float) -> Iterator[str]:

@@ -155,7 +155,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
     problem = pose_problem(scene, model, chain.interface)
     idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
-    settings = {key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "tolerance")}
+    settings = {
+        key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "closure", "tolerance")
+    }
     with watch.stage("sweep"), refuse_other_work(work):
         curve = frequency_response(
             model,

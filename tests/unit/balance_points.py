@@ -36,11 +36,14 @@ LAWS: dict[str, ContactLaws | list] = {  # every combination that has unknowns
     ],
     "free in a group": [([0, 2], ContactLaws(tangential="frictionless")), ([1], ContactLaws(friction=0.5))],
 }
+SPRINGS = ", springs"  # close the truncation of the same laws
+SPRUNG = ("unilateral coulomb", "bonded coulomb, mean zero", "varying coulomb", "varying coulomb, mean zero", "groups")
+LAWS |= {name + SPRINGS: LAWS[name] for name in SPRUNG}
 
 
 def combine_with(*harmonics) -> list[tuple]:
     """Law combinations with sets of harmonics; a prescribed mean force and contact that opens need the mean."""
-    without_mean = ("bonded coulomb", "bonded coulomb, mean zero")
+    without_mean = ("bonded coulomb", "bonded coulomb, mean zero", "bonded coulomb, mean zero, springs")
     return [(k, h) for k in LAWS for h in harmonics if h != (1, 3, 5) or k in without_mean]
 
 
@@ -56,7 +59,8 @@ class Point:
 def prepare(kind: str, state: str, harmonics=3, samples: int | None = None, seed: int = 0) -> Point:
     """Loads chosen so that chosen forces go with chosen motions: every row is then in the state asked for."""
     model = random_structure(size=10)
-    problem = ContactProblem(model, LAWS[kind], FREQUENCY, harmonics, samples)
+    closure = "spring" if kind.endswith(SPRINGS) else "dashpot"
+    problem = ContactProblem(model, LAWS[kind], FREQUENCY, harmonics, samples, closure=closure)
     system = problem.system
     rng = np.random.default_rng(seed)
     orders, m = system.basis.orders, system.rows.shape[0]

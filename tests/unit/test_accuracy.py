@@ -118,7 +118,7 @@ def test_the_true_error_is_at_most_the_one_asked_for(accuracy, truth):
 
 
 def test_less_accuracy_takes_fewer_unknowns():
-    taken = [solve_to_accuracy(rub_and_lift_off(), a).solution.unknowns for a in (0.1, 0.01, 0.003)]
+    taken = [solve_to_accuracy(rub_and_lift_off(), a).solution.unknowns for a in (0.1, 0.003, 1e-4)]
     assert taken[0] < taken[1] < taken[2]
 
 
@@ -139,7 +139,7 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
         return replace(solve(problem, start, tolerance), fallbacks=rungs if start is None else ())
 
     monkeypatch.setattr("ewr_fenicsx.accuracy.solve", solve_late)
-    found = solve_to_accuracy(rub_and_lift_off(), 0.01)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.001)
     assert len(found.levels) > 1
     assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)
     assert "there may be other solutions" in found.summary()
@@ -277,7 +277,7 @@ def test_modes_are_raised_from_the_last_solution():
     assert asked == [1, 2, 4, 8], found.summary()
     assert [level.modes for level in found.levels][-1] == 8
     assert "modes raised from 1 to 8" in found.summary()
-    truth = solve(ContactProblem(full, laws, 0.05, 60))
+    truth = solve(ContactProblem(full, laws, 0.05, 120))
     assert measure_distance(found.solution, truth) < 0.03
     few = solve_to_accuracy(problem, 0.03, modes=modes)
     assert "the 1 modes of the reduced model leave an error of" in few.limit
@@ -285,7 +285,8 @@ def test_modes_are_raised_from_the_last_solution():
     raised = [
         level for level, before in zip(found.levels[1:], found.levels, strict=False) if level.modes > before.modes
     ]
-    assert all(level.steps < found.levels[0].steps for level in raised), "contact forces carry over"
+    cold = solve(replace(found.solution.problem))
+    assert all(level.steps < cold.iterations for level in raised), "contact forces carry over"
 
 
 def test_the_most_modes_are_a_limit():

@@ -10,6 +10,7 @@ Source: Gaul and Nitsche (2001), "The role of friction in mechanical joints", Ap
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -109,6 +110,21 @@ def test_a_contact_that_could_open_is_the_same_while_it_is_pressed(amplitude):
     np.testing.assert_allclose(pressed.pair_forces["tangential"][1::2], given.pair_forces["tangential"], atol=1e-6)
     np.testing.assert_allclose(pressed.pair_forces["normal"], 2 * LIMIT * np.eye(10)[:, :1], atol=1e-8)
     assert np.abs(pressed.pair_forces["tangential"][0::2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("amplitude", AMPLITUDES)
+def test_springs_that_close_the_truncation_need_one_harmonic(amplitude):
+    """What lies behind the slider is a spring at every harmonic, so that leaving harmonics out costs nothing."""
+    problem = replace(drive(amplitude, 1).problem, samples=1024, closure="spring")
+    solution = solve(problem)
+    assert solution.orders == (1,)
+    stiffness = np.real(SPRING * solution.output("stretch")[0] / solution.output("driven")[0])
+    assert stiffness == pytest.approx(exact_stiffness(amplitude), rel=1e-5)
+    assert solution.merit["friction_dissipation"] == pytest.approx(exact_work(amplitude), rel=2e-5)
+    force = -solution.history("admissible_friction_force", 1024)[:, 0]
+    np.testing.assert_allclose(force, exact_force(amplitude, 2 * np.pi * np.arange(1024) / 1024), atol=1e-6 * LIMIT)
+    worse = solve(replace(problem, closure="dashpot"))
+    assert abs(worse.merit["friction_dissipation"] / exact_work(amplitude) - 1) > 0.01
 
 
 def test_below_the_limit_it_is_a_spring():

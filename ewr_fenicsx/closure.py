@@ -1,0 +1,45 @@
+"""What stands for the harmonics left out of a truncated friction force: springs where a pair's surroundings bend.
+
+Beyond the highest harmonic a contact node moves against its elastic neighbourhood, or as a mass by itself. Its own
+dynamic flexibility there tells which, and how soft the springs are.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ewr_fenicsx.compliance import find_normal_modes, receptance, superpose
+from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+
+Closure = Literal["dashpot", "spring"]
+LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
+
+
+def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int) -> RealArray:
+    """``(m,)`` flexibility of contact rows beyond a highest harmonic, zero of those that move as masses [m/N].
+
+    Args:
+        model: The reduced model.
+        rows: ``(m, n)`` contact rows.
+        flexibility: ``(m,)`` static flexibility of each by itself [m/N].
+        omega: Angular frequency of the first harmonic [rad/s].
+        highest: Highest harmonic that is kept.
+    """
+    beyond = np.abs(measure_beyond(model, rows, omega, list_beyond(highest))).mean(axis=0)
+    return np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0)
+
+
+def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: tuple[int, ...]) -> ComplexArray:
+    """``(n_h, m)`` flexibility of each contact row by itself at harmonics of ``omega``, the diagonal of H [m/N]."""
+    modes = find_normal_modes(model)
+    if modes is None:
+        return np.array([np.diagonal(receptance(model, h * omega, rows, rows.T)) for h in orders])
+    seen, unit = (rows @ modes.shapes) ** 2, np.ones((model.size, 1))
+    return np.array([superpose(seen, modes.gain(h * omega), unit)[:, 0] for h in orders])
+
+
+def list_beyond(highest: int) -> tuple[int, ...]:
+    """The first harmonics left out: a few of them, for a single one may hit a resonance."""
+    return tuple(dict.fromkeys(round(highest * f) + 1 for f in (1.0, 1.25, 1.5)))

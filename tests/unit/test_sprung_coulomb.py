@@ -1,0 +1,121 @@
+"""The stop operator behind springs that close the truncation, and what the springs are good for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_models import dovetail, friction_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.harmonics import select_basis
+from ewr_fenicsx.sprung_coulomb import SprungCoulomb, run_stop
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def draw_period(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A drive and a limit of three pairs, which is zero at times."""
+    rng = np.random.default_rng(seed)
+    samples = int(rng.integers(2, 40))
+    drive = rng.normal(size=(samples, 3)).cumsum(axis=0)
+    limit = rng.uniform(0.0, 3.0) * rng.random((samples, 3)) * (rng.random((samples, 3)) < 0.8)
+    return drive, limit
+
+
+@given(seeds)
+def test_a_stop_is_stepped_from_sample_to_sample(seed):
+    drive, limit = draw_period(seed)
+    force = drive[-1].copy()  # as far from the drive as what never slips shall be
+    for _ in range(2):
+        period = []
+        for i, cone in enumerate(limit):
+            force = np.clip(force + drive[i] - drive[i - 1], -cone, cone)
+            period.append(force)
+    np.testing.assert_allclose(run_stop(drive, limit).force, period, atol=1e-12 * np.abs(drive).max())
+
+
+@given(seeds)
+def test_a_stop_remembers_its_last_slip(seed):
+    """``f_i = u_i - u_s + sign c_s`` with the sample ``s`` of the last slip, and ``f = u`` where there was none."""
+    drive, limit = draw_period(seed)
+    force, since, sign = run_stop(drive, limit)
+    assert np.all(np.abs(force) <= limit + 1e-12 * np.abs(drive).max())
+    slipped = since >= 0
+    at = lambda signal: np.take_along_axis(signal, since, axis=0)  # noqa: E731
+    remembered = np.where(slipped, drive - at(drive) + sign * at(limit), drive)
+    np.testing.assert_allclose(force, remembered, atol=1e-12 * np.abs(drive).max())
+    assert np.all(np.abs(sign[slipped]) == 1) and np.all(sign[~slipped] == 0)
+
+
+def test_what_never_slips_follows_the_drive():
+    drive = np.sin(np.linspace(0.0, 2 * np.pi, 16, endpoint=False))[:, None]
+    force, since, _ = run_stop(drive, np.full((16, 1), 1.1))
+    np.testing.assert_array_equal(force, drive)
+    assert np.all(since == -1)
+
+
+def test_a_stop_shakes_down():
+    """A drive about a mean beyond the limit slips once and then never again: just within the limit."""
+    drive = 2.0 + 0.5 * np.sin(np.linspace(0.0, 2 * np.pi, 16, endpoint=False))[:, None]
+    force, _, _ = run_stop(drive, np.ones((16, 1)))
+    np.testing.assert_allclose(force, drive - drive.max() + 1.0, atol=1e-15)
+
+
+@given(seeds)
+def test_matrices_of_earlier_samples(seed):
+    rng = np.random.default_rng(seed)
+    basis = select_basis((0, 1, 3), 16)
+    weights = rng.normal(size=(16, 2)) * (rng.random((16, 2)) < 0.5)
+    since = rng.integers(0, 16, size=(16, 2))
+    found = basis.recollection(weights, since)
+    for k in range(2):
+        for j, unit in enumerate(np.eye(basis.coefficients)):
+            taken = basis.synthesise(basis.to_amplitudes(unit[:, None]))[since[:, k], 0]
+            np.testing.assert_allclose(
+                found[k][:, j], basis.project((weights[:, k] * taken)[:, None])[:, 0], atol=1e-13
+            )
+
+
+def test_springs_are_for_pairs_that_bend():
+    """A mass on a spring has no flexibility of its own at high harmonics, the nodes of a dovetail have."""
+    tangential = lambda problem: [law for law in problem.system.laws if law.direction == "tangential"]  # noqa: E731
+    rub = ContactLaws("prescribed", normal_force=0.3, friction=1.0)
+    (alone,) = tangential(ContactProblem(friction_oscillator(), rub, 0.2, 9, closure="spring"))
+    assert isinstance(alone, Coulomb)
+    joint = ContactProblem(dovetail(), ContactLaws(), 900.0, 9, closure="spring")
+    (law,) = tangential(joint)
+    assert isinstance(law, SprungCoulomb) and law.pairs.size == 6
+    share = law.flexibility / joint.system.flexibility[joint.system.index["tangential"]]
+    assert np.all((share > 0.1) & (share < 10.0))
+    given_ones = np.array([1e-9, 0.0, 2e-9, 0.0, 0.0, 1e-9])
+    dashed, sprung = tangential(replace(joint, closure=given_ones))
+    np.testing.assert_array_equal(dashed.pairs, [1, 3, 4])
+    np.testing.assert_array_equal(sprung.pairs, [0, 2, 5])
+    np.testing.assert_array_equal(sprung.flexibility, [1e-9, 2e-9, 1e-9])
+
+
+@pytest.mark.parametrize(
+    ("closure", "told"),
+    [
+        ("sprung", 'closure = "sprung"; choose one of dashpot, spring, or flexibilities.*spring'),
+        (-1e-9, "closure = -1e-09; flexibilities must be finite and not negative"),
+        (np.inf, "closure = inf; flexibilities must be finite"),
+        ([1e-9, 1e-9], "closure has 2 values for 6 pairs"),
+    ],
+)
+def test_what_is_no_closure_is_named(closure, told):
+    with pytest.raises(ModelError, match=told):
+        ContactProblem(dovetail(), ContactLaws(), 900.0, closure=closure)
+
+
+def test_a_stuck_joint_is_the_linear_one():
+    problem = ContactProblem(dovetail(excitation=0.5), ContactLaws(friction=0.5), 500.0, 5)
+    springs, dashpots = solve(replace(problem, closure="spring")), solve(problem)
+    np.testing.assert_allclose(springs.output("tip"), dashpots.output("tip"), rtol=1e-8)
+    assert springs.iterations == 0
