@@ -3,6 +3,8 @@
     .venv/bin/python benchmarks/against_time_stepping.py                     1000 and 1200 Hz: some ten minutes
     .venv/bin/python benchmarks/against_time_stepping.py --frequencies 1000 --weight 1
 
+The harmonic solver with both closures of Coulomb's law (docs/method.md): dashpots, the default, and springs.
+
 Near the resonance of the slipping joint (1000 Hz) and off it (1200 Hz). Errors are those of the tip: of the complex
 amplitude of its first harmonic, of that amplitude's modulus, and of the rms of the oscillation, all relative, against
 time stepping extrapolated to no step at all. The step from one extrapolation to the next finer one is the reference's
@@ -22,7 +24,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,7 @@ TOLERANCES = (1e-2, 1e-3, 1e-4)  # of accelerated runs
 REFERENCE_STEPS = (800, 1600, 3200, 6400)
 TARGETS = {0.01: 20.0, 0.001: 1.0}  # level -> how many times faster the harmonic solver is to be
 KINDS = ("complex", "modulus", "rms")
+CLOSURES = ("dashpot", "spring")
 STARTS = {"rest": "rest", "stick": None}
 WAYS = tuple((name, start) for name in ("plain", "accelerated", "own stop") for start in STARTS)
 
@@ -60,11 +63,11 @@ class Case:
     friction: float
     weight: float | None
 
-    def pose(self, harmonics: int = 1) -> ContactProblem:
+    def pose(self, harmonics: int = 1, closure: str = "dashpot") -> ContactProblem:
         """A problem that shares nothing with those posed before, but what is computed once a model."""
         laws = ContactLaws(friction=self.friction)
-        problem = ContactProblem(self.model, laws, self.frequency, harmonics)
-        if self.weight is None:
+        problem = ContactProblem(self.model, laws, self.frequency, harmonics, closure=closure)
+        if self.weight is None or closure == "spring":
             return problem
         layout = ContactProblem(self.model, laws, self.frequency, 1).system.layout
         flexibility = layout.flexibility[layout.index["tangential"]]
@@ -112,18 +115,24 @@ def find_reference(case: Case) -> dict:
     return {"tip": extrapolated[-1], "own_error": own, "runs": [dict(zip(header, row, strict=True)) for row in table]}
 
 
-def measure_harmonic(case: Case, reference: np.ndarray, repeats: int) -> list[dict]:
+def measure_harmonic(case: Case, reference: np.ndarray, repeats: int, closure: str) -> list[dict]:
     """Cold solves: errors and times by N; a solve that takes seconds is not repeated."""
     rows = []
     for n in ORDERS:
         runs = []
         while len(runs) < repeats and sum(spent for _, spent in runs) < 3.0:
-            runs.append(clock(lambda: solve(case.pose(n), raise_on_failure=False)))  # noqa: B023
+            runs.append(clock(lambda: solve(case.pose(n, closure), raise_on_failure=False)))  # noqa: B023
         best, seconds = min(runs, key=lambda run: run[1])
         tip = best.output("tip")
         error = compare(np.array([tip[1], np.linalg.norm(tip[1:]) / np.sqrt(2)]), reference)
         rows.append(
-            {"N": n, "unknowns": best.unknowns, "steps": best.iterations, "fallbacks": len(best.fallbacks)}
+            {
+                "closure": closure,
+                "N": n,
+                "unknowns": best.unknowns,
+                "steps": best.iterations,
+                "fallbacks": len(best.fallbacks),
+            }
             | {"converged": best.converged, "seconds": seconds, "violation": best.merit["cone_violation"]}
             | {"error": error}
         )
@@ -185,14 +194,21 @@ def pick(rows: list[dict], kind: str, level: float, size: str) -> tuple[int | No
     return (None, None) if best is None else (best[size], time_of(best))
 
 
-def summarise(frequency: float, harmonic: list[dict], stepping: dict) -> list[dict]:
-    """A row for each kind of error and level: sizes, times and ratios."""
+def summarise(frequency: float, harmonic: dict[str, list[dict]], stepping: dict) -> list[dict]:
+    """A row for each closure, kind of error and level: sizes, times and ratios."""
     rows = []
-    for kind in KINDS:
+    for closure, kind in product(CLOSURES, KINDS):
         for level in LEVELS:
-            n, ours = pick(harmonic, kind, level, "N")
+            n, ours = pick(harmonic[closure], kind, level, "N")
             theirs = {way: pick(stepping[way], kind, level, "steps")[1] for way in WAYS}
-            row = {"Hz": frequency, "error of": kind, "level %": 100 * level, "N": n, "harmonic s": ours}
+            row = {
+                "Hz": frequency,
+                "closure": closure,
+                "error of": kind,
+                "level %": 100 * level,
+                "N": n,
+                "harmonic s": ours,
+            }
             row |= {f"{name} {start} s": theirs[name, start] for name, start in WAYS}
             ratio = lambda seconds: seconds / ours if seconds and ours else None  # noqa: B023, E731
             row |= {f"ratio plain {start}": ratio(theirs["plain", start]) for start in STARTS}
@@ -206,17 +222,28 @@ def run(case: Case, repeats: int) -> dict:
     """Everything at one frequency."""
     reference = find_reference(case)
     tip, percent = reference["tip"], lambda error: [100 * e for e in error]
-    harmonic = measure_harmonic(case, tip, repeats)
+    harmonic = {closure: measure_harmonic(case, tip, repeats, closure) for closure in CLOSURES}
     print_table(
         f"{case.frequency:g} Hz: harmonic solver, cold",
-        ["N", "unknowns", "converged", "steps", "fallbacks", "s", *(f"{kind} %" for kind in KINDS), "cone violation"],
+        [
+            "closure",
+            "N",
+            "unknowns",
+            "converged",
+            "steps",
+            "fallbacks",
+            "s",
+            *(f"{kind} %" for kind in KINDS),
+            "cone violation",
+        ],
         [
             [
-                *(r[key] for key in ("N", "unknowns", "converged", "steps", "fallbacks", "seconds")),
+                *(r[key] for key in ("closure", "N", "unknowns", "converged", "steps", "fallbacks", "seconds")),
                 *percent(r["error"]),
                 r["violation"],
             ]
-            for r in harmonic
+            for rows in harmonic.values()
+            for r in rows
         ],
     )
     stepping = {("plain", name): measure_plain(case, start, tip) for name, start in STARTS.items()}
@@ -235,7 +262,7 @@ def run(case: Case, repeats: int) -> dict:
     return {
         "frequency": case.frequency,
         "reference": reference | {"tip": [[t.real, t.imag] for t in tip]},
-        "harmonic": harmonic,
+        "harmonic": [row for rows in harmonic.values() for row in rows],
         "stepping": [
             {"kind": name, "start": start, **row}
             | {"seconds": [[*key, s if np.isfinite(s) else None] for key, s in row["seconds"].items()]}
