@@ -104,13 +104,17 @@ Highest harmonic, with the default weights and samples:
 
 {orders}
 
-The same with `rho_T` as the mobility at the first harmonics left out, as `solve_to_accuracy` sets it:
+The same with springs for the harmonics left out ([method.md](method.md)), as `solve_to_accuracy` has it:
 
-{mobility}
+{springs}
 
 And with 8 samples a harmonic:
 
 {lean}
+
+With dashpots, and `rho_T` as the mobility at the first harmonics left out:
+
+{mobility}
 
 Odd harmonics only, with the mean and those that are loaded; the error that remains is that of the even ones left out:
 

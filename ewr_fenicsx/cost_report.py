@@ -49,7 +49,7 @@ class CostReport:
         files = [folder / TABLE, folder / PICTURE]
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        knobs = ("N", "N, rho_T by mobility", "samples", "rho_N over default", "rho_T over default", "tolerance")
+        knobs = ("N", "N, springs", "samples", "rho_N over default", "rho_T over default", "tolerance")
         shown = [row for row in self.rows if row["knob"] in knobs]
         draw_work_precision(files[1], shown, TITLES, f"{self.title}\nreference: {self.reference}")
         return files
