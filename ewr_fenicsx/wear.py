@@ -324,12 +324,15 @@ class _Run:
                 solves += 1
                 second = np.linalg.solve(damping, trial.rate - 2 * first)
                 error = 0.5 * length * float(np.abs(first + second).max())
-                if length > 1 and error > (allowed := self._allowed(here, length)):
+                if length > 1 and error > (allowed := self._allowed(here, length, decay)):
                     length = max(1, int(min(0.5, SAFETY * np.sqrt(allowed / error)) * length))
                     continue
                 # the sum over so many cycles, which is half a cycle's change less than the integral
                 change = np.linalg.solve(damping, np.linalg.solve(damping, trial.rate - here.rate))
                 worn = here.depth + length * (1.5 * first + 0.5 * second) - 0.5 * change
+                if length == 1 and error > self._allowed(here, length, decay):
+                    # a cycle that is too long for the pair of orders: what is worn too deep would stay so
+                    worn = here.depth + np.linalg.solve(np.eye(len(decay)) + decay, here.rate)
                 ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0)
                 ahead = replace(ahead, cycle=here.cycle + length)
                 solves += 1
@@ -342,7 +345,7 @@ class _Run:
                 length = max(1, length // 4)
         following = 1
         if self.jump:
-            free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(self._allowed(here, length) / error))
+            free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(self._allowed(here, length, decay) / error))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
         kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
         if kept and self.judge:
@@ -362,11 +365,13 @@ class _Run:
         steps = state.steps if state.steps[-1].cycle == state.latest.cycle else (*state.steps, state.latest)
         return replace(state, steps=steps, stopped=f"after {state.latest.cycle} cycles: {why}")
 
-    def _allowed(self, here: WearStep, length: int) -> float:
+    def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
         part = np.sqrt(length / self.cycles)
         if self.jump.depth is not None:
             return part * self.jump.depth
-        expected = float((here.depth + (self.cycles - here.cycle) * here.rate).max())
+        left = self.cycles - here.cycle
+        further = np.linalg.solve(np.eye(len(decay)) + left * decay, left * here.rate)  # it evens out on the way
+        expected = float((here.depth + further).max())
         return part * self.jump.share * max(expected, DEPTH_OF_ROUNDING * self._press_in())
 
     def _press_in(self) -> float:

@@ -159,6 +159,28 @@ def test_damped_jumps_cross_what_single_cycles_cannot():
     assert spread[-1] < 1e-3 * spread[0]
 
 
+@pytest.mark.parametrize("rate", [2.2, 3.0, 6.0])
+def test_a_load_that_wear_relieves_is_worn_to_its_equilibrium_and_no_deeper(rate):
+    """A preloaded spring pushes against the ground: wear ends where it has taken the preload, at w = F / k.
+
+    Each cycle wears ``rate`` times what is left of that: more than twice, and the two time scales are one.
+    """
+    spring, preload, swing, area = 1e3, 10.0, 1e-4, 2e-6
+    model = ReducedModel(
+        mass=np.zeros((2, 2)),
+        damping=np.zeros((2, 2)),
+        stiffness=np.diag([1e9, spring]),  # what rubs is driven, what presses is the spring
+        normal=[[0.0, -1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, preload], 1: [1e9 * swing, 0.0]},
+        pair_area=[area],
+    )
+    problem = ContactProblem(model, ContactLaws(friction=0.1), 50.0, 3)
+    history = evolve_wear(problem, 50, rate / spring * area / (4 * swing), Tolerance(share=0.01))
+    assert history.stopped is None and history.cycles[-1] == 50
+    assert history.depth[-1, 0] == pytest.approx(preload / spring, rel=0.02)
+
+
 @pytest.mark.parametrize("share", [1e-1, 1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("damped", [True, False])
 def test_jumped_and_every_cycle_runs_agree_within_the_tolerance(share, damped):
