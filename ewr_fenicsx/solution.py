@@ -325,11 +325,12 @@ class PeriodicSolution:
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
         where = "at rest"
         if self.orders[-1]:
-            where = f"{self.problem.frequency:g} Hz, harmonics {self.orders[0]}..{self.orders[-1]}"
+            first, last, count = self.orders[0], self.orders[-1], len(self.orders)
+            some = "" if count == last - first + 1 else f" ({count} of them)"
+            where = f"{self.problem.frequency:g} Hz, harmonics {first}..{last}{some}"
         lines = [
-            f"{where}: {state} in "
-            f"{self.iterations} Newton steps, {self.unknowns} unknowns, residual {self.residual:.1e}, "
-            f"{self.seconds:.2f} s"
+            f"{where}: {state} in {self.iterations} Newton step{'s' * (self.iterations != 1)}, {self.unknowns} unknowns, "
+            f"residual {self.residual:.1e}, {self.seconds:.2f} s"
         ]
         if not self.touches:
             lines.append("  no pair ever touches: the bodies vibrate apart; are gaps in m, and does a load close them?")

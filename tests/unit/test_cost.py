@@ -73,6 +73,11 @@ def test_time_stepping_tells_the_same_figures(truth):
         assert errors[name] < 0.003, name
 
 
+def test_a_joint_that_neither_slides_nor_wears_has_no_error_in_it():
+    bonded = measure_figures(solve(replace(PROBLEM, laws=ContactLaws("bonded", "bonded"))))
+    assert set(compare_figures(bonded, bonded).values()) == {0.0}
+
+
 def test_a_survey_finds_more_harmonics_more_accurate(truth):
     settings = [s for s in list_settings(PROBLEM, (1, 5, 15), fixed=5) if s.knob == "N"]
     rows = survey(settings, truth, repeats=1)
