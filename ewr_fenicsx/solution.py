@@ -329,8 +329,8 @@ class PeriodicSolution:
             some = "" if count == last - first + 1 else f" ({count} of them)"
             where = f"{self.problem.frequency:g} Hz, harmonics {first}..{last}{some}"
         lines = [
-            f"{where}: {state} in {self.iterations} Newton step{'s' * (self.iterations != 1)}, {self.unknowns} unknowns, "
-            f"residual {self.residual:.1e}, {self.seconds:.2f} s"
+            f"{where}: {state} in {self.iterations} Newton step{'s' * (self.iterations != 1)}, "
+            f"{self.unknowns} unknowns, residual {self.residual:.1e}, {self.seconds:.2f} s"
         ]
         if not self.touches:
             lines.append("  no pair ever touches: the bodies vibrate apart; are gaps in m, and does a load close them?")
