@@ -321,7 +321,7 @@ class NewtonStep:
             elif d.blind_to_mean and basis.has_mean:
                 T[:, :, 0] = 0.0
                 if d.since is None:
-                    T[:, 0, 0] = balance.static_displacement_row[d.rows[pick]]
+                    T[:, 0, 0] = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
             V, v, g = elimination.follow(d.by_force, columns)
             rows = max(1, BATCH // (n_c * n_c * mixed.size))
             for first in range(0, at.size, rows):

@@ -196,8 +196,9 @@ class Elimination:
             if d.by_force:
                 A[:, at, columns] += value
                 continue
-            if d.blind_to_mean:
-                value[mean] = balance.static_displacement_row[d.rows[pick]] if d.since is None else 0.0
+            if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
+                springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
+                value[mean] = springs if d.since is None else 0.0
             A[:, at] += value[:, :, None] * H[:, columns]
             A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
             toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
