@@ -1,5 +1,7 @@
 """Coulomb's dry friction along one line, with the true, varying cone; and the frictionless limit.
 
+Pairs with two tangents get the law in a plane, ``planar_coulomb.py``.
+
 Source: the equality-based form of the projections of Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
 """
 
@@ -11,6 +13,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, RealArray, Response, register_law
+from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 
@@ -36,17 +39,14 @@ class DryFriction(LawKind):
     odd = blind_to_mean = True
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:
-        if tangents == 2:
-            raise ModelError(
-                'tangential = "coulomb" is friction along one line; this model has two tangents a pair: give rows of '
-                "one, or a law of your own for friction in the plane (docs/adding_a_law.md)"
-            )
-        return ("tangential",)
+        return PLANE[: max(1, tangents)]
 
     def bound_mean(self, spread) -> MeanBound:
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
+        if "second_tangential" in group.weight:
+            return build_in_plane(group, self.friction, self.static_friction, MEAN_FRICTION_REGULARISATION)
         friction, eps = group.spread(self.friction), MEAN_FRICTION_REGULARISATION
         springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
         weights, closing = group.weight["tangential"], group.closing["tangential"]

@@ -17,8 +17,8 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # fmt: off
 ORDER = [
     "errors", "_compat", "given", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
-    "prescribed", "sprung_coulomb", "coulomb", "contact_laws", "statics", "compliance", "closure", "layout",
-    "contact_problem", "elimination", "balance", "stability", "walking", "indicators", "solution", "time_stepping",
+    "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics", "compliance", "closure",
+    "layout", "contact_problem", "elimination", "balance", "stability", "walking", "indicators", "solution", "time_stepping",
     "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton",
     "estimates", "accuracy", "cost", "progress", "task_sharing", "whole_files", "solution_store", "following",
     "refining", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "wear", "scene_errors", "scene_entries",
