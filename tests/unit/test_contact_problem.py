@@ -228,7 +228,6 @@ def test_problems_that_make_no_sense_are_refused(changes, message):
     [
         (friction_oscillator(), ContactLaws(), "needs normal contact rows"),
         (random_structure(tangents=0), ContactLaws(), "needs tangential contact rows"),
-        (random_structure(tangents=2), ContactLaws(), "friction along one line; this model has two tangents a pair"),
         (
             random_structure(),
             ContactLaws("prescribed", normal_force={0: 1.0, 9: 1.0}),
