@@ -6,7 +6,7 @@ import numpy as np
 
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.reduced_model import RealArray
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution import SECOND, PeriodicSolution
 
 OPEN, STICK, SLIP = 0, 1, 2
 
@@ -14,6 +14,7 @@ OPEN, STICK, SLIP = 0, 1, 2
 def list_histories(solution: PeriodicSolution) -> tuple[str, ...]:
     """Names of the histories that the laws of a solution call for; the others are zero by construction."""
     called = {name for _, laws in solution.problem.groups for kind in laws.kinds for name in kind.histories}
+    called |= {SECOND + name for name in called}
     return tuple(name for name in solution.histories if name in called)
 
 

@@ -35,7 +35,10 @@ def measure_work(force: ComplexArray, motion: ComplexArray, orders: tuple[int, .
 
 
 def measure_cone_violation(friction_force: RealArray, normal_force: RealArray, friction: RealArray) -> float:
-    """How far the friction force leaves the cone, over the largest limit; forces ``(n_t, K)``, friction ``(K,)``."""
+    """How far the friction force leaves the cone, over the largest limit; forces ``(n_t, K)``, friction ``(K,)``.
+
+    With two tangents the friction force is the size of both components.
+    """
     limit = friction * np.maximum(0.0, normal_force)
     largest = limit.max(initial=0.0)
     return float((np.abs(friction_force) - limit).max(initial=0.0) / largest) if largest > 0 else 0.0

@@ -28,7 +28,7 @@ from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, read_summary, result_folder
-from ewr_fenicsx.solution import HISTORIES, PeriodicSolution
+from ewr_fenicsx.solution import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicSolution
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
@@ -139,7 +139,8 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
     """What happens at the pairs, as far as the laws know of it: name -> ``(samples, K_c)``.
 
     Pressure and traction [Pa] are the truncated forces that balance the loads over the tributary area;
-    ``friction_traction`` acts on body A along the pair's tangent. Gap and slip in m.
+    ``friction_traction`` acts on body A along the pair's tangent, ``second_...`` along its second one in 3-D. Gap and
+    slip in m.
     ``contact_state``: 0 open, 1 stick, 2 slip.
     """
     fields = {}
@@ -148,11 +149,13 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
         ("friction_traction", "friction_force", interface.area),
         ("gap", "gap", 1.0),
         ("slip", "slip", 1.0),
+        (SECOND + "friction_traction", SECOND + "friction_force", interface.area),
+        (SECOND + "slip", SECOND + "slip", 1.0),
     ):
         if history in list_histories(solution):
             fields[name] = solution.history(history, samples) / divisor
     for name in list_histories(solution):
-        if name not in HISTORIES:  # a law of the user's own
+        if name not in HISTORIES + SECOND_HISTORIES:  # a law of the user's own
             fields[name] = solution.history(name, samples)
     if solution.problem.wear is not None:
         fields["worn_depth"] = np.tile(solution.problem.wear, (samples, 1))
@@ -200,7 +203,8 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
         "normal_y": interface.normal[:, 1],
         "area [m^2]": interface.area,
     }
-    for name, unit in (("normal_force", "N"), ("friction_force", "N"), ("gap", "m"), ("slip", "m")):
+    units = {"normal_force": "N", "friction_force": "N", "gap": "m", "slip": "m"}
+    for name, unit in (units | {SECOND + "friction_force": "N", SECOND + "slip": "m"}).items():
         if name in histories:
             for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
                 columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
@@ -210,7 +214,7 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
     if solution.problem.wear is not None:
         columns["worn_depth [m]"] = solution.problem.wear
     for name in histories:
-        if name not in HISTORIES:  # a law of the user's own, in its own unit
+        if name not in HISTORIES + SECOND_HISTORIES:  # a law of the user's own, in its own unit
             columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
     for code, name in enumerate(("open", "stick", "slip") if changes_state(solution) else ()):
         columns[f"{name}_share"] = (state == code).mean(axis=0)

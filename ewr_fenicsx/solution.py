@@ -24,6 +24,8 @@ COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the lar
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pull is rounding
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
+SECOND = "second_"  # before the name of a history: along the second tangent of pairs in 3-D
+SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,15 @@ class PeriodicSolution:
     def histories(self) -> tuple[str, ...]:
         """Names that ``history`` knows: the usual ones, and what the laws report besides."""
         reported = [name for _, laws in self.problem.groups for kind in laws.kinds for name in kind.histories]
-        return tuple(dict.fromkeys([*HISTORIES, *reported]))
+        return tuple(dict.fromkeys([*HISTORIES, *reported, *self._second_histories]))
+
+    @cached_property
+    def _second_histories(self) -> Mapping[str, str]:
+        """What ``history`` knows along second tangents: its name there -> along the first; empty in 2-D."""
+        if self.problem.model.tangents < 2:
+            return {}
+        tangential = [name for _, laws in self.problem.groups for name in laws.kinds[1].histories]
+        return {SECOND + n: n for n in (*HISTORIES, *tangential) if n not in ("normal_force", "gap")}
 
     def history(self, name: str, samples: int = 1024) -> RealArray:
         """A quantity of every pair over one period, ``(samples, K_c)``.
@@ -115,7 +125,8 @@ class PeriodicSolution:
             name: ``"normal_force"`` (presses where positive), ``"friction_force"`` (as truncated) and
                 ``"admissible_friction_force"`` (in the cone), on body A along the tangent [N]; ``"gap"`` (initial gap
                 included), ``"slip"`` of A along the tangent, relative to B [m]; ``"slip_velocity"`` [m/s]; or what a
-                law of your own reports, zero at other pairs. In 3-D the tangent is the first one.
+                law of your own reports, zero at other pairs. In 3-D the tangent is the first one, and ``"second_"``
+                before a name gives the same along the second: ``"second_slip"``.
             samples: Samples a period, from ``tau = omega t = 0`` on, its end left out.
 
         Raises:
@@ -127,8 +138,10 @@ class PeriodicSolution:
         if not is_whole(samples, 1):
             raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, at least one")
         model, basis = self.problem.model, FourierBasis(self.orders, samples)
+        along = "second_tangential" if name in self._second_histories else "tangential"
+        name = self._second_histories.get(name, name)
         if name in ("normal_force", "friction_force"):
-            direction = "normal" if name == "normal_force" else "tangential"
+            direction = "normal" if name == "normal_force" else along
             if direction not in self.pair_forces:
                 return np.zeros((samples, model.pairs))
             force = basis.synthesise(self.pair_forces[direction])
@@ -143,12 +156,13 @@ class PeriodicSolution:
         if name in ("slip", "slip_velocity"):
             if not model.tangents:
                 return np.zeros((samples, model.pairs))
-            slip = self.slip_amplitudes["tangential"]
+            slip = self.slip_amplitudes[along]
             return basis.synthesise(slip if name == "slip" else self._rate * slip)
-        admissible = name == "admissible_friction_force"
-        reported = self.history("friction_force", samples) if admissible else np.zeros((samples, model.pairs))
+        reported = np.zeros((samples, model.pairs))
+        if name == "admissible_friction_force":
+            reported = self.history(SECOND * (along != "tangential") + "friction_force", samples)
         for law, fields in self.law_fields(basis):
-            if name in fields:
+            if name in fields and (law.direction == "second_tangential") == (along == "second_tangential"):
                 reported[:, law.pairs] = fields[name]
         return reported
 
@@ -244,27 +258,28 @@ class PeriodicSolution:
         problem, model, count = self.problem, self.problem.model, self.problem.basis.samples
         omega = problem.omega or 1.0
         viscous = self._rate * (self.coordinates @ model.damping.T)
-        fine = {name: self.history(name, max(count, FINE)) for name in ("gap", "normal_force", "friction_force")}
+        fine = max(FINE, count)
+        gap, normal = self.history("gap", fine), self.history("normal_force", fine)
         friction, unilateral = problem.friction, problem.opens
+        along = dict(zip(model.tangent_directions, ("", SECOND), strict=False))  # direction -> before a history's name
         gaps = indicators.measure_separation(self.history("gap", count)[:, unilateral])
         slides = friction > 0
-        rubs = problem.system.row_of("tangential", np.arange(model.pairs)) >= 0
         work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        power = self.history("admissible_friction_force", count) * self.history("slip_velocity", count)
-        rubbed = 0.0 - period * np.sum(np.mean(power, axis=0)[rubs])
-        for direction in model.tangent_directions[1:]:  # of truncated and admissible force, the law makes them one
+        rubbed = 0.0
+        for direction, which in along.items():
             acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
-            force, slip = self.pair_forces[direction][:, acts], self.slip_amplitudes[direction][:, acts]
-            rubbed -= indicators.measure_work(force, slip, self.orders)
+            force, speed = (self.history(which + n, count) for n in ("admissible_friction_force", "slip_velocity"))
+            rubbed -= period * np.sum(np.mean(force * speed, axis=0)[acts])
+        truncated = [self.history(which + "friction_force", fine)[:, slides] for which in along.values() or [""]]
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
-            "penetration": max(0.0, -float(fine["gap"][:, unilateral].min(initial=0.0))),
-            "tension": max(0.0, -float(fine["normal_force"][:, unilateral].min(initial=0.0))),
-            "largest_normal_force": float(fine["normal_force"].max(initial=0.0)),
+            "penetration": max(0.0, -float(gap[:, unilateral].min(initial=0.0))),
+            "tension": max(0.0, -float(normal[:, unilateral].min(initial=0.0))),
+            "largest_normal_force": float(normal.max(initial=0.0)),
             "cone_violation": indicators.measure_cone_violation(
-                fine["friction_force"][:, slides], fine["normal_force"][:, slides], friction[slides]
+                np.hypot.reduce(truncated, axis=0), normal[:, slides], friction[slides]
             ),
             "excitation_work": work,
             "viscous_dissipation": dissipated,
