@@ -22,7 +22,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
-from ewr_fenicsx.layout import Layout, demand_rows, lay_out, row_of
+from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out, row_of
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
 from ewr_fenicsx.statics import find_holding
 
@@ -359,8 +359,8 @@ def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance
     if compliance.rigid_load.size == 0:
         return False
     K, r = problem.model.pairs, compliance.rigid_load.size
-    motion = {d: np.zeros((K, r)) for d in ("normal", "tangential")}
-    for direction, seen in motion.items():
+    motion = np.zeros((1 + max(1, problem.model.tangents), K, r))
+    for seen, direction in zip(motion, DIRECTIONS, strict=False):
         rows = row_of(layout.index, direction, np.arange(K))
         seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
     smallest, largest, friction, rubs = np.zeros((4, K))
@@ -369,7 +369,7 @@ def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    keys = (motion["normal"], motion["tangential"], smallest, largest, friction, compliance.rigid_load, rubs)
+    keys = (motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
     return _find_holding(*(_Frozen(key) for key in keys)) == "friction"
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 from scipy.optimize import linprog
 
 from ewr_fenicsx.errors import UnheldBody
 from ewr_fenicsx.reduced_model import RealArray
 
 _BALANCED = 1e-8  # unbalanced share of the mean load taken for zero
+_SIDES = 32  # of the polygon around the disk of friction forces in a plane; at its corners they are 0.5 % too large
 
 
 def find_holding(
@@ -25,10 +27,11 @@ def find_holding(
     """What holds the floating bodies: normal forces alone, or friction as well.
 
     A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
+    With two tangents a polygon stands for the disk ``|lam_T|``.
 
     Args:
         normal_motion: ``(K, r)`` motion of the normal rows by the rigid modes.
-        tangential_motion: ``(K, r)`` motion of the same pairs' tangential rows, zero where a pair has none.
+        tangential_motion: ``(t, K, r)`` motion of the same pairs' ``t`` tangential rows, zero where a pair has none.
         smallest: ``(K,)`` least mean normal force: 0, -inf where bonded, ``largest`` where given [N].
         largest: ``(K,)`` largest mean normal force: inf, or what is given [N].
         friction: ``(K,)`` coefficients of friction, zero where a pair has none.
@@ -46,7 +49,7 @@ def find_holding(
         return "normal"
     rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
     rubs = (friction > 0) | (limit > 0)
-    seen = np.vstack([normal_motion, tangential_motion[rubs]])
+    seen = np.vstack([normal_motion, *tangential_motion[:, rubs]])
     if np.linalg.matrix_rank(seen, tol=1e-9 * np.abs(seen).max(initial=1e-300)) < r:
         free = np.linalg.svd(seen)[2][-1]
         raise UnheldBody(
@@ -81,20 +84,20 @@ def _unbalanced(
         return 0.0, np.zeros(r)
     k = friction.size
     rubs = np.flatnonzero((friction > 0) | (limit > 0))
-    # unknowns: lam_N (k), lam_T (rubbing), t >= |unbalanced|
-    forces = np.hstack([normal_motion.T, tangential_motion[rubs].T])
-    cone = np.zeros((2 * rubs.size, k + rubs.size))
-    for half, sign in enumerate((1.0, -1.0)):
-        rows = half * rubs.size + np.arange(rubs.size)
-        cone[rows, rubs] = -friction[rubs]
-        cone[rows, k + np.arange(rubs.size)] = sign
+    angle = np.linspace(0, 2 * np.pi, 2 if len(tangential_motion) == 1 else _SIDES, endpoint=False)
+    toward = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(tangential_motion)]
+    sides, sliding = angle.size, toward.shape[1] * rubs.size
+    # unknowns: lam_N (k), lam_T (rubbing, direction by direction), t >= |unbalanced|
+    forces = np.hstack([normal_motion.T, *(motion[rubs].T for motion in tangential_motion)])
     column = -np.ones((r, 1))
-    upper = np.vstack(
-        [np.hstack([forces, column]), np.hstack([-forces, column]), np.hstack([cone, np.zeros((len(cone), 1))])]
-    )
-    bound = np.concatenate([-rigid_load / size, rigid_load / size, np.tile(limit[rubs] / size, 2)])
-    bounds = [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * rubs.size + [(0, np.inf)]
-    cost = np.zeros(k + rubs.size + 1)
+    upper = np.vstack([np.hstack([forces, column]), np.hstack([-forces, column])])
+    if rubs.size:
+        limits = sparse.csr_matrix((-friction[rubs], (np.arange(rubs.size), rubs)), (rubs.size, k))
+        cone = [sparse.kron(np.ones((sides, 1)), limits), sparse.kron(toward, sparse.identity(rubs.size))]
+        upper = sparse.vstack([upper, sparse.hstack([*cone, sparse.csr_matrix((sides * rubs.size, 1))])])
+    bound = np.concatenate([-rigid_load / size, rigid_load / size, np.tile(limit[rubs] / size, sides)])
+    bounds = [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * sliding + [(0, np.inf)]
+    cost = np.zeros(k + sliding + 1)
     cost[-1] = 1.0
     found = linprog(cost, A_ub=upper, b_ub=bound, bounds=bounds, method="highs")
     if found.status != 0:
