@@ -238,18 +238,25 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     """``(K_c,)`` weights ``rho_T`` that close the truncation: each pair's mobility at the first harmonics left out.
 
     The projected law would be exact if those harmonics obeyed ``v_h = rho_T lam_h`` (docs/method.md). Geometric mean
-    over some of them, for a single one may hit a resonance. None without friction [(m/s)/N].
+    over some of them, for a single one may hit a resonance; with two tangents, of a size that does not depend on where
+    they point. None without friction [(m/s)/N].
     """
     weight = read_friction_weight(problem)
     if weight is None:
         return None
     system, beyond = problem.system, list_beyond(problem.basis.orders[-1])
-    own = np.abs(measure_beyond(system.model, system.rows, problem.omega, beyond))
-    own *= (np.array(beyond) * problem.omega)[:, None]
-    mobility = np.exp(np.log(own).mean(axis=0))
+    rate = np.array(beyond)[:, None] * problem.omega
+    measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond)  # noqa: E731
     for law in system.laws:
         if law.direction == "tangential" and hasattr(law, "rho"):
-            weight[law.pairs] = mobility[system.row_of("tangential", law.pairs)]
+            at = [system.row_of(direction, law.pairs) for direction in problem.model.tangent_directions]
+            along = [system.rows[rows] for rows in at if np.all(rows >= 0)]
+            own = [measure(rows) for rows in along]
+            size = np.linalg.norm(own, axis=0)
+            if len(along) == 2:
+                between = (measure(along[0] + along[1]) - own[0] - own[1]) / 2
+                size = np.hypot(size, np.sqrt(2) * np.abs(between))
+            weight[law.pairs] = np.exp(np.log(rate * size / np.sqrt(len(along))).mean(axis=0))
     return weight
 
 
