@@ -15,7 +15,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import is_positive, is_whole
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution import SECOND, PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
 _STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
@@ -23,6 +23,7 @@ _BOUND = 1e100  # a motion past this grows without bound: its squares would soon
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
+SECOND_HISTORIES = tuple(SECOND + name for name in ("friction_force", "slip", "slip_velocity"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,24 +133,28 @@ class SteadyState:
 
         Args:
             name: ``"normal_force"``, ``"friction_force"`` [N]; ``"gap"`` (initial gap included), ``"slip"`` [m];
-                ``"slip_velocity"`` [m/s].
+                ``"slip_velocity"`` [m/s]; in 3-D also those along the second tangent, ``"second_friction_force"``,
+                ``"second_slip"``, ``"second_slip_velocity"``.
             samples: Samples a period; None: one a step.
 
         Raises:
             ModelError: An unknown name.
         """
-        if name not in HISTORIES:
-            raise ModelError(f'no history "{name}"; choose one of {", ".join(HISTORIES)}{nearest(name, HISTORIES)}')
         model, expansion = self.problem.model, self.scheme.expansion
+        known = HISTORIES + (SECOND_HISTORIES if model.tangents == 2 else ())
+        if name not in known:
+            raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
+        along = "second_tangential" if name.startswith(SECOND) else "tangential"
+        name = name.removeprefix(SECOND)
         zero = np.zeros((self.scheme.steps, model.pairs))
         if name in ("normal_force", "friction_force"):
-            force = self._pair_forces()["normal" if name == "normal_force" else "tangential"]
+            force = self._pair_forces().get("normal" if name == "normal_force" else along, zero)
             return resample(force, self.scheme.theta, samples)
         if name == "gap":
             opening = zero if model.normal is None else self.last.positions[:-1] @ (model.normal @ expansion).T
             return resample(opening + self.scheme.pair_gap, 0.0, samples)
         motion = self.last.positions if name == "slip" else self.last.velocities
-        slip = motion[:-1] @ (model.rows("tangential") @ expansion).T if model.tangents else zero
+        slip = motion[:-1] @ (model.rows(along) @ expansion).T if model.tangents else zero
         return resample(slip, 0.0, samples)
 
     def sliding_speed(self, samples: int | None = None) -> RealArray:
@@ -163,10 +168,12 @@ class SteadyState:
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
         problem, system, scheme = self.problem, self.scheme.system, self.scheme
-        found = {d: np.zeros((scheme.steps, problem.model.pairs)) for d in ("normal", "tangential")}
+        directions = ("normal", *problem.model.tangent_directions)
+        found = {d: np.zeros((scheme.steps, problem.model.pairs)) for d in directions}
         held = []
         for pairs, laws in problem.groups:
-            for direction, law in (("normal", laws.normal), ("tangential", laws.tangential)):
+            for direction in directions:
+                law = laws.normal if direction == "normal" else laws.tangential
                 rows = system.row_of(direction, pairs)
                 if law == "prescribed":
                     found["normal"][:, pairs] = scheme.sample(system.prescribed, pairs)
@@ -187,8 +194,8 @@ class SteadyState:
         left -= scheme.sample(self.problem.loads, np.arange(model.size))
         if model.normal is not None:
             left -= found["normal"] @ model.normal
-        if model.tangents:
-            left -= found["tangential"] @ model.rows("tangential")
+        for direction in model.tangent_directions:
+            left -= found[direction] @ model.rows(direction)
         bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
         force = np.linalg.lstsq(bonds.T, left.T, rcond=1e-12)[0].T
         start = 0

@@ -4,7 +4,7 @@ Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - t
 
     M (v_(k+1) - v_k) = dt (f_theta - D v_theta - K x_theta) + B^T p,      x_(k+1) = x_k + dt v_theta
     0 <= p_N  _|_  g_k + dt v_N >= 0                                       v at the end of the step: Stewart & Trinkle
-    |p_T| <= mu p_N, slip v_T opposes p_T                                  the true cone
+    |p_T| <= mu p_N, slip v_T opposes p_T                                  the true cone; in 3-D both are in a plane
 
 With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B^T p``, and the contact conditions see
 only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
@@ -125,7 +125,7 @@ class TimeScheme:
     def _compose_laws(self) -> None:
         problem, system = self.problem, self.system
         m, total = system.rows.shape[0], problem.model.pairs
-        self.kind, self.partner = np.full(m, -1), np.full(m, -1)
+        self.kind, self.partner, self.twin = np.full(m, -1), np.full(m, -1), np.full(m, -1)
         self.friction, self.initial_gap = np.zeros(m), np.zeros(m)
         self.pair_gap = np.zeros(total)
         self.given_limit = np.zeros((self.steps, m))
@@ -141,6 +141,8 @@ class TimeScheme:
             if laws.tangential == "coulomb":
                 self.kind[tangential] = FRICTION
                 self.partner[tangential] = normal
+                self.twin[tangential] = second = system.row_of("second_tangential", pairs)
+                self.kind[second[second >= 0]] = FRICTION
                 self.friction[tangential] = spread_over_pairs(laws.friction, pairs, total)
                 if laws.normal == "prescribed":
                     force = np.maximum(0.0, self.sample(system.prescribed, pairs))
@@ -184,8 +186,8 @@ class TimeScheme:
         positions[0], velocities[0] = position, velocity
         taken, unsolved = compile_loop()(
             self.theta, self.dt, self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
-            self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.friction,
-            self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
+            self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.twin,
+            self.friction, self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
             positions, velocities, impulses,
         )  # fmt: skip
         return Period(positions, velocities, impulses, taken, unsolved)
@@ -193,9 +195,13 @@ class TimeScheme:
 
 def step_through_period(
     theta, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order, kind, partner,
-    friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
+    twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
 ):  # fmt: skip
-    """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps."""
+    """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
+
+    ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
+    with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
+    """
     steps, m = impulses.shape
     n = positions.shape[1]
     dense = keep_dense.shape[0] > 0
@@ -230,21 +236,39 @@ def step_through_period(
                 taken += 1
                 change = 0.0
                 for i in order:
+                    t = twin[i]
+                    new_t = 0.0
                     if kind[i] == FRICTION:
-                        trial = p[i] - u_end[i] / delassus_columns[i, i]
                         limit = friction[i] * max(0.0, p[partner[i]]) if partner[i] >= 0 else given_limit[k, i]
-                        new = min(limit, max(-limit, trial))
+                        if t < 0:
+                            new = min(limit, max(-limit, p[i] - u_end[i] / delassus_columns[i, i]))
+                        else:
+                            ii, it = delassus_columns[i, i], delassus_columns[t, i]
+                            ti, tt = delassus_columns[i, t], delassus_columns[t, t]
+                            determinant = ii * tt - it * ti
+                            sticks = determinant > 1e-12 * ii * tt
+                            if sticks:
+                                new = p[i] - (tt * u_end[i] - it * u_end[t]) / determinant
+                                new_t = p[t] - (ii * u_end[t] - ti * u_end[i]) / determinant
+                                sticks = np.hypot(new, new_t) <= limit
+                            if not sticks:
+                                most = 0.5 * (ii + tt) + np.hypot(0.5 * (ii - tt), 0.5 * (it + ti))
+                                new, new_t = p[i] - u_end[i] / most, p[t] - u_end[t] / most
+                                size = np.hypot(new, new_t)
+                                if size > limit:
+                                    new, new_t = new * limit / size, new_t * limit / size
                     else:
                         new = p[i] - (u_end[i] + gap[i] / dt) / delassus_columns[i, i]
                         if kind[i] == UNILATERAL:
                             new = max(0.0, new)
-                    step = new - p[i]
-                    if step != 0.0:
-                        p[i] = new
-                        for j in range(m):
-                            u_end[j] += delassus_columns[i, j] * step
-                        change = max(change, abs(step))
-                        largest = max(largest, abs(new))
+                    for row, value in ((i, new), (t, new_t)):
+                        step = value - p[row] if row >= 0 else 0.0
+                        if step != 0.0:
+                            p[row] = value
+                            for j in range(m):
+                                u_end[j] += delassus_columns[row, j] * step
+                            change = max(change, abs(step))
+                            largest = max(largest, abs(value))
                 if change <= tolerance * largest:
                     solved = True
                     break
@@ -276,7 +300,7 @@ def compile_loop():
     except ImportError as missing:
         raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
     vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
-    arguments = ["f8", "f8", vector, vector, *[matrix] * 6, *[index] * 3, vector, vector, matrix, vector, "f8", "i8"]
+    arguments = ["f8", "f8", vector, vector, *[matrix] * 6, *[index] * 4, vector, vector, matrix, vector, "f8", "i8"]
     signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
     try:
         return numba.njit(signature, cache=True)(step_through_period)
