@@ -84,7 +84,7 @@ class Law(Protocol):
         static_row: Weight of the projected law in its mean equation (0 leaves the mean force to ``static_force_row``).
         static_force_row: Weight of the mean force in its mean equation.
         static_displacement_row: ``(K,)`` or scalar weight of the mean displacement in its mean equation [N/m]; only a
-            law with a partial derivative by its velocity or oscillation may have one.
+            law with a partial derivative by its own velocity or oscillation may have one.
         static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
         stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
         linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
@@ -106,7 +106,8 @@ class Law(Protocol):
     def fields(self, motion: Motion) -> dict[str, RealArray]:
         """What the law has to report besides its force: name -> ``(n_t, K)``.
 
-        Two names have a meaning for all: ``"open"`` and ``"slipping"``, bool, say in which state each pair is.
+        Two names have a meaning for all: ``"open"`` and ``"slipping"``, bool, say in which state each pair is. What the
+        law of a second tangent reports is known with ``"second_"`` before its name.
         """
         return {}
 
