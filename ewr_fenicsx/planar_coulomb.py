@@ -1,7 +1,7 @@
 """Coulomb's dry friction in the plane of contact: a disk in place of an interval, with the true, varying cone.
 
 Both tangential directions share one weight and one spring, means over the two: nothing depends on where in the plane
-the tangents point.
+the tangents point. Dashpots, the weights, close the truncation.
 
 Source: the equality-based form of the projections of Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
 """

@@ -363,6 +363,8 @@ def list_ignored(problem: ContactProblem) -> list[str]:
             lines.append(f'initial_gap is ignored at pair {pairs[0]}: normal = "{laws.normal}" knows no gap')
     if problem.wear is not None and np.any(worn := (np.asarray(problem.wear) > 0) & ~problem.opens):
         lines.append(f"wear is ignored at pair {np.argmax(worn)}: its normal law knows no gap")
+    if not isinstance(problem.closure, str) and "second_tangential" in problem.system.index:
+        lines.append("closure is ignored where pairs have two tangents: dashpots, rho_tangential, close friction there")
     rubs = np.flatnonzero(problem.friction > 0)
     given = sample_amplitudes(problem.given_force, rubs, FINE)
     if np.any(pulls := given < -ROUNDED_FORCE * np.abs(given).max(initial=0.0)):

@@ -427,6 +427,16 @@ def test_a_body_that_slides_in_a_plane_under_a_mean_load_walks():
     assert not steady.converged and "a body walks" in steady.reason
 
 
+def test_dashpots_close_the_truncation_whatever_is_asked_for():
+    """Springs are for the law along a line; given flexibilities that have no say are told of."""
+    plain = lift_foot(5)
+    for closure, told in (("spring", ()), (0.1, ("closure is ignored where pairs have two tangents",))):
+        solution = solve(replace(plain.problem, closure=closure))
+        np.testing.assert_allclose(solution.forces, plain.forces, atol=1e-9 * np.abs(plain.forces).max())
+        assert [line.split(":")[0] for line in solution.cautions] == list(told)
+    assert not plain.cautions
+
+
 def test_an_accuracy_is_reached_in_a_plane():
     model = sled({1: [1.0, 0.5j]}, stiffness=(1.0, 2.0))
     found = solve_to_accuracy(ContactProblem(model, limited(0.8), 0.15, 5), 0.005)
