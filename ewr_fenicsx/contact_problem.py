@@ -46,8 +46,8 @@ class ContactProblem:
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
         closure: What stands for the harmonics left out in Coulomb's law: ``"dashpot"``, ``v = rho_tangential lam``;
             ``"spring"``, ``q = d lam`` with each pair's own flexibility beyond the highest harmonic; or ``(K_c,)`` such
-            flexibilities ``d`` [m/N], zero for dashpots. Springs are mostly more accurate at the same harmonics. Friction
-            in a plane (two tangents a pair) keeps its dashpots.
+            flexibilities ``d`` [m/N], zero for dashpots. Springs are mostly more accurate at the same harmonics.
+            Friction in a plane (two tangents a pair) keeps its dashpots.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.

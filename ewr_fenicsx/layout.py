@@ -56,7 +56,8 @@ class Layout:
         expansion: ``(n, n')`` from its coordinates to those of the problem's model.
         rows: ``(m, n')`` contact rows that carry an unknown force.
         index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
-        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out [m/N].
+        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out; with two tangents a pair
+            the mean of both [m/N].
         mobility: ``(m,)`` inverse inertia of each row where it is all that resists, else zero [1/kg].
     """
 
@@ -97,6 +98,11 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     kept, expansion = hold(model, np.vstack(held))
     rows = rows @ expansion
     flexibility, mobility = measure_flexibility(kept, rows)
+    if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
+        twins = np.array([index["tangential"], index["second_tangential"]])
+        twins = twins[:, np.all(twins >= 0, axis=0)]
+        flexibility[twins] = flexibility[twins].mean(axis=0)
+        mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
     return Layout(kept, expansion, rows, index, flexibility, mobility)
 
 

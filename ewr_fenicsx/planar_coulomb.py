@@ -1,7 +1,7 @@
 """Coulomb's dry friction in the plane of contact: a disk in place of an interval, with the true, varying cone.
 
-Both tangential directions share one weight and one spring, means over the two: nothing depends on where in the plane
-the tangents point. Dashpots, the weights, close the truncation.
+Both tangential directions share one weight and one spring (``layout.py``): nothing depends on where in the plane the
+tangents point. Dashpots, the weights, close the truncation.
 
 Source: the equality-based form of the projections of Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
 """
@@ -29,7 +29,7 @@ def build_in_plane(
         static_friction: ``"resolved"`` or ``"zero"``, as in ``ContactLaws``.
         regularisation: Share of the mean friction force added to its own equation where it is resolved.
     """
-    rho, flexibility = (np.mean([of[d] for d in PLANE], axis=0) for of in (group.weight, group.flexibility))
+    rho, flexibility = group.weight[PLANE[0]], group.flexibility[PLANE[0]]  # those of both directions
     springs = regularisation / flexibility if group.hangs_on_friction else 0.0
     mean = (0.0, 1.0, 0.0) if static_friction == "zero" else (1.0, regularisation, springs)
     return tuple(PlanarCoulomb(group.pairs, d, group.spread(friction), rho, *mean) for d in PLANE)

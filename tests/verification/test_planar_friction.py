@@ -311,6 +311,18 @@ def test_no_direction_is_preferred(angles, static_friction):
         assert there.merit[name] == pytest.approx(value, rel=1e-2 if name == "J_T" else 1e-6, abs=1e-8), name
 
 
+@pytest.mark.parametrize("stiffness", [(1.0, 2.0), (1.0, 0.0), (0.0, 0.0)])
+def test_no_direction_is_preferred_where_nothing_bends_in_some(stiffness):
+    """Springs in both directions, in one and in none: where there is none, the mass resists."""
+    plain = ContactProblem(sled({1: [1.0, 0.3 - 0.5j]}, stiffness=stiffness), limited(0.4), 0.15, 5)
+    turned = replace(plain, model=turn_tangents(plain.model, np.array([0.5])))
+    here, there = solve(plain, tolerance=1e-11), solve(turned, tolerance=1e-11)
+    for name in ("x", "y"):
+        np.testing.assert_allclose(there.output(name), here.output(name), atol=1e-8)
+    for problem in (plain, turned):
+        assert problem.system.laws[0].rho == problem.system.laws[1].rho
+
+
 @pytest.mark.parametrize(
     "laws, mixed",
     [
