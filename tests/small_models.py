@@ -193,6 +193,74 @@ def winkler_punch(
     )
 
 
+def sled_in_a_plane(
+    load: dict[int, object], damping: float = 0.1, stiffness: tuple[float, float] = (1.0, 1.0)
+) -> ReducedModel:
+    """A mass on springs in a plane, rubbing in both directions."""
+    return ReducedModel(
+        mass=np.eye(2),
+        damping=damping * np.eye(2),
+        stiffness=np.diag(stiffness),
+        normal=np.zeros((1, 2)),
+        tangential=np.eye(2),
+        load=load,
+        outputs={"x": [1.0, 0.0], "y": [0.0, 1.0]},
+    )
+
+
+def foot_on_the_ground(excitation: complex = 2.0) -> ReducedModel:
+    """A mass on an oblique spring; its massless foot is pressed on the ground, rubs in a plane and lifts off.
+
+    Coordinates ``(x, y, z)`` of the mass, then of the foot.
+    """
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    spring = turn @ np.diag([0.8, 1.0, 1.4]) @ turn.T
+    stiffness = np.block([[spring, -spring], [-spring, spring]]) + np.diag([1.0, 1.2, 1.5, 0.1, 0.15, 0.2])
+    mass, each = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.eye(6)
+    return ReducedModel(
+        mass=mass,
+        damping=0.03 * (stiffness + mass),
+        stiffness=stiffness,
+        normal=each[5:],
+        tangential=each[3:5],
+        load={0: -each[5], 1: excitation * np.array([0.8, 0.4j, 0.5j, 0.0, 0.0, 0.0])},
+        outputs={"x": each[0], "y": each[1], "z": each[2]},
+    )
+
+
+def block_on_feet(load: dict[int, object], slope: float = 0.0) -> ReducedModel:
+    """A rigid block that floats in space, with six massless feet on springs: only contact holds it.
+
+    On a plane (``slope = 0``) it takes friction to hold the block; in three V-grooves, whose flanks have a ``slope``
+    [degrees], it does not. Coordinates: the block's motion ``(x, y, z)`` and its turn about each axis, then
+    ``(x, y, z)`` of each foot. ``load`` acts on the block, ``(6,)`` a harmonic.
+    """
+    rng, each = np.random.default_rng(4), np.eye(24)
+    stiffness, normal, tangential = np.zeros((24, 24)), [], []
+    for k in range(6):
+        at = 2 * np.pi * (k // 2 / 3 + k % 2 / 20)
+        x, y, z = np.cos(at), np.sin(at), -0.4
+        ride = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
+        foot = each[6 + 3 * k : 9 + 3 * k]
+        stretch = ride @ each[:6] - foot
+        stiffness += stretch.T @ np.diag(rng.uniform(30.0, 60.0, 3)) @ stretch
+        lean = np.radians(slope) * (-1) ** k
+        outward, around = np.array([x, y, 0.0]), np.array([-y, x, 0.0])
+        inward = np.cos(lean) * np.array([0.0, 0.0, 1.0]) + np.sin(lean) * around
+        normal.append(inward @ foot)
+        tangential += [outward @ foot, np.cross(inward, outward) @ foot]
+    mass = np.diag([1.0, 1.0, 1.0, 0.3, 0.35, 0.5, *np.zeros(18)])
+    return ReducedModel(
+        mass=mass,
+        damping=0.02 * mass + 0.01 * stiffness,
+        stiffness=stiffness,
+        normal=normal,
+        tangential=tangential,
+        load={h: np.concatenate([np.asarray(f), np.zeros(18)]) for h, f in load.items()},
+        outputs={"x": each[0], "y": each[1], "turn": each[5]},
+    )
+
+
 # Each kind of contact once, with what makes it special
 PROBLEMS = {
     "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
@@ -205,4 +273,11 @@ PROBLEMS = {
         0.1,
         7,
     ),
+    "plane, floating": ContactProblem(
+        block_on_feet({0: [0.0, 0.0, -3.0, 0.0, 0.0, 0.0], 1: [1.2, 0.8j, 0.2, 0.0, 0.0, 0.3]}, slope=40.0),
+        ContactLaws(friction=0.2),
+        0.6,
+        5,
+    ),
+    "plane, lift-off": ContactProblem(foot_on_the_ground(), ContactLaws(friction=0.3), 0.2, 5),
 }
