@@ -104,17 +104,17 @@ Highest harmonic, with the default weights and samples:
 
 {orders}
 
-The same with springs for the harmonics left out ([method.md](method.md)), as `solve_to_accuracy` has it:
+The same with `rho_T` as the mobility at the first harmonics left out, as `solve_to_accuracy` sets it:
 
-{springs}
+{mobility}
 
 And with 8 samples a harmonic:
 
 {lean}
 
-With dashpots, and `rho_T` as the mobility at the first harmonics left out:
+With springs for the harmonics left out ([method.md](method.md)):
 
-{mobility}
+{springs}
 
 Odd harmonics only, with the mean and those that are loaded; the error that remains is that of the even ones left out:
 

@@ -38,8 +38,8 @@ PICTURE = {
     "work_precision_best": (
         "N",
         "N, rho_T by mobility",
+        "N, rho_T by mobility, 8 N samples",
         "N, springs",
-        "N, springs, 8 N samples",
         'N, static friction "zero"',
         "time steps",
         "time steps, accelerated",
@@ -274,7 +274,7 @@ def write_page(cost: dict, found: dict, pictures: Path) -> str:
         orders=here("N"),
         mobility=here("N, rho_T by mobility"),
         springs=here("N, springs"),
-        lean=here("N, springs, 8 N samples"),
+        lean=here("N, rho_T by mobility, 8 N samples"),
         odd=here("N, odd harmonics only"),
         zero=here('N, static friction "zero"'),
         samples=here("samples"),

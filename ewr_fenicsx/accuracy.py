@@ -116,7 +116,7 @@ def solve_to_accuracy(
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
 
     Args:
-        problem: The problem; its own harmonics and samples are not used, weights that it gives are kept.
+        problem: The problem; its own harmonics and samples are not used; a weight or springs that it gives are kept.
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
@@ -232,11 +232,9 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
     kept = tuple(h for h in range(top + 1) if h not in dropped)
     chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
-    if problem.rho_tangential is not None:
+    if problem.rho_tangential is not None or problem.has_springs:
         return posed
-    sprung = replace(posed, closure="spring")
-    weight = match_mobility(sprung)  # of laws that know no springs
-    return sprung if weight is None else replace(sprung, rho_tangential=weight)
+    return replace(posed, rho_tangential=match_mobility(posed))
 
 
 def judge(

@@ -251,9 +251,17 @@ class NewtonStep:
         balance, basis = self.balance, self.balance.basis
         signals = balance.signals(forces, motion, basis)
         samples = np.zeros((basis.samples, balance.rows))
+        remembered: list[tuple[Derivative, RealArray]] = []
         for d in self.derivatives:
-            seen = signals[d.variable]()[:, d.columns]
-            samples[:, d.rows] += d.values * (seen if d.since is None else np.take_along_axis(seen, d.since, axis=0))
+            product = d.values * signals[d.variable]()[:, d.columns]
+            if d.since is None:
+                samples[:, d.rows] += product
+            elif remembered and d.since is remembered[-1][0].since:  # one law's: looked up together
+                remembered[-1][1][:] += product
+            else:
+                remembered.append((d, product))
+        for d, product in remembered:
+            samples[:, d.rows] += np.where(d.since >= 0, np.take_along_axis(product, d.since, axis=0), 0.0)
         coefficients = basis.project(samples)
         rigid_balance = np.zeros(0)
         if basis.has_mean:

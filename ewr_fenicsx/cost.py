@@ -130,10 +130,10 @@ def list_settings(
         posed = replace(usual, harmonics=n)
         weight = match_mobility(posed) if n else None
         if weight is not None:
-            lean = choose_samples(n, 8.0)
-            for name, closed in (("rho_T by mobility", {"rho_tangential": weight}), ("springs", {"closure": "spring"})):
-                settings.append(Setting(f"N, {name}", n, replace(posed, **closed)))
-                settings.append(Setting(f"N, {name}, 8 N samples", n, replace(posed, samples=lean, **closed)))
+            settings.append(Setting("N, rho_T by mobility", n, replace(posed, rho_tangential=weight)))
+            lean = replace(posed, rho_tangential=weight, samples=choose_samples(n, 8.0))
+            settings.append(Setting("N, rho_T by mobility, 8 N samples", n, lean))
+            settings.append(Setting("N, springs", n, replace(posed, closure="spring")))
     odd = lambda n: tuple(h for h in range(n + 1) if h % 2 or h in problem.loads or h == 0)  # noqa: E731
     settings += [Setting("N, odd harmonics only", n, replace(usual, harmonics=odd(n))) for n in low if n > 2]
     counts = dict.fromkeys([2 * fixed + 1, 3 * fixed, 4 * fixed, 8 * fixed, 16 * fixed, 32 * fixed, 64 * fixed])

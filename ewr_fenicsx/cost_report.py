@@ -49,7 +49,15 @@ class CostReport:
         files = [folder / TABLE, folder / PICTURE]
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        knobs = ("N", "N, springs", "samples", "rho_N over default", "rho_T over default", "tolerance")
+        knobs = (
+            "N",
+            "N, rho_T by mobility",
+            "N, springs",
+            "samples",
+            "rho_N over default",
+            "rho_T over default",
+            "tolerance",
+        )
         shown = [row for row in self.rows if row["knob"] in knobs]
         draw_work_precision(files[1], shown, TITLES, f"{self.title}\nreference: {self.reference}")
         return files
@@ -114,7 +122,7 @@ def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, floa
     """Figures of a harmonic solve of high order, its estimated error, its name and its highest harmonic."""
     highest = max(2 * loaded + 2, min(HIGHEST, MOST_UNKNOWNS // (2 * max(1, problem.system.rows.shape[0]))))
     posed = replace(problem, harmonics=highest)
-    solution = solve(replace(posed, closure="spring", rho_tangential=match_mobility(posed)))
+    solution = solve(replace(posed, rho_tangential=match_mobility(posed)))
     return measure_figures(solution), estimate_errors(solution).total, f"harmonic balance, N = {highest}", highest
 
 

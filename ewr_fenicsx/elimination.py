@@ -60,7 +60,7 @@ class Derivative:
     columns: np.ndarray  # (K,)
     variable: Variable
     values: RealArray  # (n_t, K)
-    since: np.ndarray | None = None  # (n_t, K) samples at which the variable is taken; None: each at its own
+    since: np.ndarray | None = None  # (n_t, K) sample of which value times variable counts, -1: none; None: its own
 
     @property
     def by_force(self) -> bool:
@@ -81,7 +81,7 @@ class Derivative:
     def changes(self) -> np.ndarray:
         """``(K,)`` whether the derivative differs from sample to sample, or reaches back to another."""
         if self.since is not None:
-            return np.any(self.values != 0, axis=0)
+            return np.any(self.since >= 0, axis=0)
         return np.any(self.values != self.values[0], axis=0)
 
 

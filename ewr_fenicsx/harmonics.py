@@ -107,26 +107,35 @@ class FourierBasis:
         )
 
     def recollection(self, weights: RealArray, since: np.ndarray) -> RealArray:
-        """Matrices of "take at an earlier sample, multiply by a weight in time, then project".
+        """Matrices of "multiply by a weight in time, hold what that was at an earlier sample, then project".
 
-        What is taken is held over stretches of the period, so that each stretch is one product.
+        What is held stays for a stretch of the period, so that each stretch is one product.
 
         Args:
             weights: ``(n_t, m)`` samples of the weights.
-            since: ``(n_t, m)`` sample at which each is taken; not looked at where the weight is zero.
+            since: ``(n_t, m)`` sample whose product is held at each, -1 where none is.
 
         Returns:
             ``(m, n_c, n_c)`` real matrices on real coefficients.
         """
-        matrices = np.zeros((weights.shape[1], self.coefficients, self.coefficients))
-        for matrix, weight, at in zip(matrices, weights.T, since.T, strict=True):
-            used = np.flatnonzero(weight)
-            if used.size:
-                used = used[np.argsort(at[used], kind="stable")]
-                taken, first = np.unique(at[used], return_index=True)
-                held = np.add.reduceat(self._analysis.T[used] * weight[used, None], first)
-                np.matmul(held.T, self._synthesis[taken], out=matrix)
-        return matrices
+        changes = np.vstack([np.ones((1, since.shape[1]), dtype=bool), since[1:] != since[:-1]]).T
+        column, first = np.nonzero(changes)
+        last = np.append(first[1:], 0)
+        last[np.append(column[1:], -1) != column] = self.samples  # a stretch ends with the period
+        taken = since[first, column]
+        column, first, last, taken = (part[taken >= 0] for part in (column, first, last, taken))
+        held = self._running_analysis[last] - self._running_analysis[first]
+        read = self._synthesis[taken] * weights[taken, column][:, None]
+        count = np.bincount(column, minlength=since.shape[1])
+        place = np.arange(column.size) - np.repeat(np.cumsum(count) - count, count)
+        stretches = np.zeros((2, since.shape[1], count.max(initial=0), self.coefficients))
+        stretches[:, column, place] = held, read
+        return np.matmul(stretches[0].transpose(0, 2, 1), stretches[1])
+
+    @cached_property
+    def _running_analysis(self) -> RealArray:
+        """Sums of the rows of the analysis up to each sample, ``(n_t + 1, n_c)``."""
+        return np.vstack([np.zeros(self.coefficients), np.cumsum(self._analysis.T, axis=0)])
 
     def differentiate_columns(self, matrices: RealArray, omega: float) -> RealArray:
         """Matrices ``(..., n_c)`` that act on velocities, as matrices that act on displacements."""

@@ -65,7 +65,7 @@ class Partial(NamedTuple):
     variable: Variable
     direction: str
     values: RealArray  # (n_t, K)
-    since: np.ndarray | None = None  # (n_t, K) samples at which the variable is taken; None: each at its own
+    since: np.ndarray | None = None  # (n_t, K) sample of which value times variable counts, -1: none; None: its own
 
 
 class Response(NamedTuple):

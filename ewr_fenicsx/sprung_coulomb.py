@@ -48,7 +48,8 @@ def run_stop(drive: RealArray, limit: RealArray) -> Stop:
     least, most = low.copy(), high.copy()  # by all samples up to each
     reach = 1
     while reach < len(drive):
-        least[reach:], most[reach:] = (np.clip(bound[:-reach], least[reach:], most[reach:]) for bound in (least, most))
+        lower, upper = (np.minimum(np.maximum(b[:-reach], least[reach:]), most[reach:]) for b in (least, most))
+        least[reach:], most[reach:] = lower, upper
         reach *= 2
     offset = np.clip(np.clip(0.0, least[-1], most[-1]), least, most)
     before = np.roll(offset, 1, axis=0)
@@ -86,19 +87,18 @@ class SprungCoulomb(Law):
     def evaluate(self, motion: Motion) -> Response:
         force, since, sign = self.run(motion)
         slips = since == np.arange(len(since))[:, None]
-        remembers = ~slips & (since >= 0)
-        pressed = np.take_along_axis(motion.force["normal"], since, axis=0) > 0
-        cone = np.where(pressed, -sign * self.friction, 0.0)
-        spring = 1 / self.flexibility
+        cone = np.where(slips & (motion.force["normal"] > 0), -sign * self.friction, 0.0)
+        slipping, sticking = np.where(slips, 1.0, 0.0), np.where(slips, 0.0, 1 / self.flexibility)
+        earlier = np.where(slips, -1, since)  # what sticks takes over from its last slip
         return Response(
             motion.force["tangential"] - force,
             (
-                Partial("force", "tangential", np.where(slips, 1.0, 0.0)),
-                Partial("oscillation", "tangential", np.where(slips, 0.0, spring)),
-                Partial("force", "normal", np.where(slips, cone, 0.0)),
-                Partial("force", "tangential", np.where(remembers, 1.0, 0.0), since),
-                Partial("oscillation", "tangential", np.where(remembers, -spring, 0.0), since),
-                Partial("force", "normal", np.where(remembers, cone, 0.0), since),
+                Partial("force", "tangential", slipping),
+                Partial("oscillation", "tangential", sticking),
+                Partial("force", "normal", cone),
+                Partial("force", "tangential", slipping, earlier),
+                Partial("oscillation", "tangential", -slipping / self.flexibility, earlier),
+                Partial("force", "normal", cone, earlier),
             ),
         )
 

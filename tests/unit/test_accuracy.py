@@ -118,7 +118,7 @@ def test_the_true_error_is_at_most_the_one_asked_for(accuracy, truth):
 
 
 def test_less_accuracy_takes_fewer_unknowns():
-    taken = [solve_to_accuracy(rub_and_lift_off(), a).solution.unknowns for a in (0.1, 0.003, 1e-4)]
+    taken = [solve_to_accuracy(rub_and_lift_off(), a).solution.unknowns for a in (0.1, 0.01, 0.003)]
     assert taken[0] < taken[1] < taken[2]
 
 
@@ -139,7 +139,7 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
         return replace(solve(problem, start, tolerance), fallbacks=rungs if start is None else ())
 
     monkeypatch.setattr("ewr_fenicsx.accuracy.solve", solve_late)
-    found = solve_to_accuracy(rub_and_lift_off(), 0.001)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.01)
     assert len(found.levels) > 1
     assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)
     assert "there may be other solutions" in found.summary()
