@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, transform_coordinates
@@ -13,39 +14,42 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, tra
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.solution import PeriodicSolution
 
-
-@lru_cache
-def solve_base() -> PeriodicSolution:
-    return solve(
-        ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3, initial_gap=0.01), 0.1, 5), tolerance=1e-12
-    )
+both = pytest.mark.parametrize("closure", ["dashpot", "spring"])
 
 
 @lru_cache
-def solve_joint() -> PeriodicSolution:
-    return solve(ContactProblem(dovetail(), ContactLaws(friction=0.3), 481.0, 3), tolerance=1e-12)
+def solve_base(closure: str) -> PeriodicSolution:
+    laws = ContactLaws(friction=0.3, initial_gap=0.01)
+    return solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 5, closure=closure), tolerance=1e-12)
+
+
+@lru_cache
+def solve_joint(closure: str) -> PeriodicSolution:
+    return solve(ContactProblem(dovetail(), ContactLaws(friction=0.3), 481.0, 3, closure=closure), tolerance=1e-12)
 
 
 def shift_in_time(model: ReducedModel, phase: float) -> ReducedModel:
     return replace(model, load={h: f * np.exp(1j * h * phase) for h, f in model.load.items()})
 
 
+@both
 @settings(max_examples=12)
 @given(st.integers(0, 255))
-def test_shift_of_time_shifts_the_solution(ticks):
+def test_shift_of_time_shifts_the_solution(closure, ticks):
     """By whole samples exactly; between samples the laws are evaluated elsewhere."""
-    base = solve_base()
+    base = solve_base(closure)
     phase = 2 * np.pi * ticks / base.problem.basis.samples
     shifted = solve(replace(base.problem, model=shift_in_time(base.problem.model, phase)), tolerance=1e-12)
     turn = np.exp(1j * phase * np.arange(6))
     np.testing.assert_allclose(shifted.forces, turn[:, None] * base.forces, atol=1e-9 * np.abs(base.forces).max())
 
 
+@both
 @settings(max_examples=12)
 @given(st.floats(-6, 6))
-def test_loads_and_gaps_scale_everything(exponent):
+def test_loads_and_gaps_scale_everything(closure, exponent):
     """Contact and friction know no force of their own: c times the loads and gaps give c times the answer."""
-    base = solve_base()
+    base = solve_base(closure)
     c, model = 10.0**exponent, base.problem.model
     scaled = replace(model, load={h: c * f for h, f in model.load.items()})
     solution = solve(
@@ -55,10 +59,11 @@ def test_loads_and_gaps_scale_everything(exponent):
     assert solution.iterations == base.iterations
 
 
+@both
 @settings(max_examples=12)
 @given(st.permutations(range(6)))
-def test_order_of_pairs_does_not_matter(order):
-    joint = solve_joint()
+def test_order_of_pairs_does_not_matter(closure, order):
+    joint = solve_joint(closure)
     model = joint.problem.model
     moved = replace(
         model, normal=model.normal[order], tangential=model.tangential[order], pair_area=model.pair_area[order]
@@ -69,10 +74,11 @@ def test_order_of_pairs_does_not_matter(order):
         np.testing.assert_allclose(solution.pair_forces[direction], before, atol=1e-7 * np.abs(joint.forces).max())
 
 
+@both
 @settings(max_examples=12)
 @given(st.lists(st.sampled_from([-1.0, 1.0]), min_size=6, max_size=6))
-def test_direction_of_tangents_does_not_matter(signs):
-    joint = solve_joint()
+def test_direction_of_tangents_does_not_matter(closure, signs):
+    joint = solve_joint(closure)
     signs = np.array(signs)
     model = joint.problem.model
     turned = solve(
@@ -85,11 +91,12 @@ def test_direction_of_tangents_does_not_matter(signs):
     )
 
 
+@both
 @settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 3))
-def test_coordinates_do_not_matter(seed, spread):
+def test_coordinates_do_not_matter(closure, seed, spread):
     """Rotated axes, modal coordinates, other units among the coordinates: the joint does not know."""
-    joint = solve_joint()
+    joint = solve_joint(closure)
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.normal(size=(26, 26)))[0]
     basis = turn @ np.diag(10.0 ** rng.uniform(-spread, spread, 26))
