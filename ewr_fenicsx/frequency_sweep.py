@@ -206,7 +206,7 @@ def frequency_response(
         folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as they are finished. A
             run that was interrupted goes on from the blocks that it finds. None: nothing is written.
         comm: Ranks that share the work.
-        settings: Further arguments of ``ContactProblem``: samples, weights, loads, wear.
+        settings: Further arguments of ``ContactProblem``: samples, weights, closure, loads, wear.
 
     Returns:
         The curve; with several laws a dictionary of curves by the same keys.
