@@ -58,8 +58,9 @@ The sample: two small joints, the blade root and the gallery's scenes, under loa
 f1 is the first full-stick mode; the load is the ratio of oscillating to mean contact forces in full stick, `reached`
 at that frequency, or `applied`: what a static load of that size would make). Linear cases (no pair ever slips or
 opens) are exact with any setting. The reference is time stepping, at two step sizes and extrapolated, or a harmonic
-solve of high order where stepping has not settled. "Cheapest" is the fastest fixed setting whose *true* error meets
-the accuracy, which a user could not know. Reported as reached, but missed:
+solve of high order where stepping has not settled. "Cheapest" is the fastest fixed setting (harmonics, samples,
+dashpots with two weights, springs) whose *true* error meets the accuracy, which a user could not know. Reported as
+reached, but missed:
 
 {misses}
 
