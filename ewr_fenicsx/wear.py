@@ -308,7 +308,7 @@ class _Run:
                 f"one cycle wears more than contact can follow (stable up to {limit:.2g} cycles): the two time scales "
                 "are one here; lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)",
             )
-        solves, error, length = 0, 0.0, 1
+        solves, error, allowed, length = 0, 0.0, np.inf, 1
         if self.jump:
             cap = np.inf if self.jump.damped else SAFETY * limit
             length = int(max(1, min(state.jump, cap, self.cycles - here.cycle)))
@@ -324,14 +324,15 @@ class _Run:
                 solves += 1
                 second = np.linalg.solve(damping, trial.rate - 2 * first)
                 error = 0.5 * length * float(np.abs(first + second).max())
-                if length > 1 and error > (allowed := self._allowed(here, length, decay)):
+                allowed = self._allowed(here, length, decay)
+                if error <= allowed:
+                    # the sum over so many cycles, which is half a cycle's change less than the integral
+                    change = np.linalg.solve(damping, np.linalg.solve(damping, trial.rate - here.rate))
+                    worn = here.depth + length * (1.5 * first + 0.5 * second) - 0.5 * change
+                elif length > 1:
                     length = max(1, int(min(0.5, SAFETY * np.sqrt(allowed / error)) * length))
                     continue
-                # the sum over so many cycles, which is half a cycle's change less than the integral
-                change = np.linalg.solve(damping, np.linalg.solve(damping, trial.rate - here.rate))
-                worn = here.depth + length * (1.5 * first + 0.5 * second) - 0.5 * change
-                if length == 1 and error > self._allowed(here, length, decay):
-                    # a cycle that is too long for the pair of orders: what is worn too deep would stay so
+                else:  # a cycle that is too long for the pair of orders: what is worn too deep would stay so
                     worn = here.depth + np.linalg.solve(np.eye(len(decay)) + decay, here.rate)
                 ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0)
                 ahead = replace(ahead, cycle=here.cycle + length)
@@ -345,7 +346,7 @@ class _Run:
                 length = max(1, length // 4)
         following = 1
         if self.jump:
-            free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(self._allowed(here, length, decay) / error))
+            free = GROWTH if error == 0 else min(GROWTH, SAFETY * np.sqrt(allowed / error))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
         kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
         if kept and self.judge:
