@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ewr_fenicsx.compliance import find_normal_modes, receptance, superpose
+from ewr_fenicsx.compliance import find_normal_modes, receptance
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 
 Closure = Literal["dashpot", "spring"]
@@ -36,8 +36,8 @@ def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: t
     modes = find_normal_modes(model)
     if modes is None:
         return np.array([np.diagonal(receptance(model, h * omega, rows, rows.T)) for h in orders])
-    seen, unit = (rows @ modes.shapes) ** 2, np.ones((model.size, 1))
-    return np.array([superpose(seen, modes.gain(h * omega), unit)[:, 0] for h in orders])
+    seen = (rows @ modes.shapes) ** 2
+    return np.array([seen @ modes.gain(h * omega) for h in orders])
 
 
 def list_beyond(highest: int) -> tuple[int, ...]:

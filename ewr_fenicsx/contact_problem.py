@@ -346,7 +346,7 @@ def choose_closing(
     highest = problem.basis.orders[-1]
     if not isinstance(problem.closure, str):
         return spread_over_pairs(problem.closure, pairs, problem.model.pairs)
-    if problem.closure == "dashpot" or not highest:
+    if not problem.has_springs or not highest:
         return np.zeros(pairs.size)
     return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
 
