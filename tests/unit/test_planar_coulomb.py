@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_models import PROBLEMS, block_on_feet, friction_oscillator, random_structure
+from law_checks import check_rounded_corners, lift_foot, ride_in_grooves
+from small_models import block_on_feet, friction_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, time_stepping
 from ewr_fenicsx.balance import HarmonicBalance
@@ -19,20 +19,6 @@ from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.law_kinds import Motion
 from ewr_fenicsx.output import contact_fields, write_pairs
 from ewr_fenicsx.planar_coulomb import PLANE, PlanarCoulomb
-from ewr_fenicsx.smoothing import round_corners
-from ewr_fenicsx.solution import PeriodicSolution
-
-
-@lru_cache
-def ride_in_grooves(harmonics: int) -> PeriodicSolution:
-    """A floating block that its weight holds in three V-grooves, shaken so that its feet slide and stick."""
-    return solve(replace(PROBLEMS["plane, floating"], harmonics=harmonics))
-
-
-@lru_cache
-def lift_foot(harmonics: int) -> PeriodicSolution:
-    """A foot pressed on the ground that slides in all directions and lifts off."""
-    return solve(replace(PROBLEMS["plane, lift-off"], harmonics=harmonics))
 
 
 def test_figures_of_merit_are_those_of_both_components():
@@ -133,17 +119,7 @@ def test_it_vanishes_on_coulomb_s_set_and_only_there(pressed, x, y, along, acros
 
 def test_its_corners_round_to_the_exact_law():
     model = replace(random_structure(size=12, pairs=3, tangents=2), load={0: -9 * np.ones(12)})
-    exact = HarmonicBalance(ContactProblem(model, ContactLaws(friction=0.4), 0.1, 3).system, 1.0)
-    point = np.random.default_rng(1).normal(size=exact.size)
-    far = [
-        np.abs(HarmonicBalance(round_corners(exact.system, width), 1.0).residual(point) - exact.residual(point)).max()
-        for width in (1e-1, 1e-2, 1e-3)
-    ]
-    assert far[2] < 0.15 * far[1] < 0.1 * far[0]
-    rounded = HarmonicBalance(round_corners(exact.system, 0.1), 1.0)
-    change, h = np.random.default_rng(2).normal(size=exact.size), 1e-6
-    finite = (rounded.residual(point + h * change) - rounded.residual(point - h * change)) / (2 * h)
-    np.testing.assert_allclose(rounded.linearise(point).multiply(change), finite, atol=1e-7 * np.abs(finite).max())
+    check_rounded_corners(ContactProblem(model, ContactLaws(friction=0.4), 0.1, 3))
 
 
 def test_dashpots_close_the_truncation_whatever_is_asked_for():

@@ -7,13 +7,13 @@ first order in the step where the direction of sliding turns, so that two runs e
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_models import PROBLEMS, block_on_feet, friction_oscillator, sled_in_a_plane
+from law_checks import lift_foot, ride_in_grooves
+from small_models import block_on_feet, friction_oscillator, sled_in_a_plane
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.accuracy import solve_to_accuracy
@@ -22,7 +22,6 @@ from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
 from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.estimates import match_mobility
 from ewr_fenicsx.planar_coulomb import PLANE
-from ewr_fenicsx.solution import PeriodicSolution
 
 
 def limited(limit: float | dict, **other) -> ContactLaws:
@@ -166,18 +165,6 @@ def test_an_elliptic_load_against_two_time_steppers(load, limit, sticks, toleran
     assert np.abs(read(solution) - stepped).max() < 0.4 * np.abs(read(few) - stepped).max()
     assert abs(solution.merit["energy_error"]) < 1e-7
     assert solution.merit["friction_dissipation"] == pytest.approx(fine.measure_energy()["friction"], rel=4e-3)
-
-
-@lru_cache
-def ride_in_grooves(harmonics: int) -> PeriodicSolution:
-    """A floating block that its weight holds in three V-grooves, shaken so that its feet slide and stick."""
-    return solve(replace(PROBLEMS["plane, floating"], harmonics=harmonics))
-
-
-@lru_cache
-def lift_foot(harmonics: int) -> PeriodicSolution:
-    """A foot pressed on the ground that slides in all directions and lifts off."""
-    return solve(replace(PROBLEMS["plane, lift-off"], harmonics=harmonics))
 
 
 @pytest.mark.parametrize(
