@@ -16,7 +16,7 @@ import numpy as np
 from ewr_fenicsx.compliance import DynamicCompliance
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.law_kinds import Variable
+from ewr_fenicsx.law_derivatives import Derivative
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
@@ -31,6 +31,8 @@ class Equations(Protocol):
         rigid_motion: ``(m, r)`` motion of the rows by the scaled rigid coordinates [m/N].
         static_row, static_force_row, static_displacement_row: ``(m,)`` weights of the mean equations.
         unknown: ``(n_c, m)`` which coefficients are unknown.
+        size: Number of unknowns, rigid coordinates among them.
+        force_unit: Force that counts as one [N].
     """
 
     system: ContactSystem
@@ -44,45 +46,20 @@ class Equations(Protocol):
     static_force_row: RealArray
     static_displacement_row: RealArray
     unknown: np.ndarray
+    size: int
+    force_unit: float
+
+    def unpack(self, unknowns: RealArray) -> tuple[ComplexArray, RealArray]:
+        """Force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)`` [m] from scaled unknowns."""
+
+    def place(self, vector: RealArray) -> RealArray:
+        """Coefficients ``(n_c, m)`` of a vector like the unknowns."""
 
 
 # Added to the diagonal of H in the Jacobian only, relative to each row's flexibility: redundant pairs stay solvable.
 REDUNDANCY = 1e-13
 # Matrix entries made at a time: few calls on small joints, temporaries that fit the cache on large ones.
-BATCH = 1 << 18
-
-
-@dataclass(frozen=True, eq=False)
-class Derivative:
-    """Derivative of one law's rows by one variable at the columns paired with them."""
-
-    rows: np.ndarray  # (K,)
-    columns: np.ndarray  # (K,)
-    variable: Variable
-    values: RealArray  # (n_t, K)
-    since: np.ndarray | None = None  # (n_t, K) sample of which value times variable counts, -1: none; None: its own
-
-    @property
-    def by_force(self) -> bool:
-        """By a force or its rate, else by a motion."""
-        return self.variable in ("force", "force_rate")
-
-    @property
-    def by_rate(self) -> bool:
-        """By a derivative in time."""
-        return self.variable in ("velocity", "force_rate")
-
-    @property
-    def blind_to_mean(self) -> bool:
-        """By a motion without its mean."""
-        return self.variable in ("velocity", "oscillation")
-
-    @property
-    def changes(self) -> np.ndarray:
-        """``(K,)`` whether the derivative differs from sample to sample, or reaches back to another."""
-        if self.since is not None:
-            return np.any(self.since >= 0, axis=0)
-        return np.any(self.values != self.values[0], axis=0)
+BATCH = 1 << 16
 
 
 def apply_harmonics(basis: FourierBasis, T: RealArray, V: ComplexArray) -> RealArray:

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from petsc4py import PETSc
 
-from ewr_fenicsx.balance import Factorisation, HarmonicBalance
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.walking import WALKS, walks
 

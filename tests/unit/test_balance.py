@@ -11,8 +11,9 @@ from balance_points import FREQUENCY, LAWS, STATES, Point, combine_with, prepare
 from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
-from ewr_fenicsx.balance import Factorisation, HarmonicBalance
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
+from ewr_fenicsx.newton_step import Factorisation
 
 
 def evaluate_series(wave: np.ndarray, amplitudes: list) -> float:

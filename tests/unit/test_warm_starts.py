@@ -9,8 +9,9 @@ import pytest
 from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
-from ewr_fenicsx.balance import Factorisation, HarmonicBalance
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.warm_starts import carry_over, list_starts
 
 SLIPS, LIFTS_OFF = PROBLEMS["floating, slip"], PROBLEMS["lift-off"]
