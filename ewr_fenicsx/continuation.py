@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.reduced_model import RealArray
 
 BalanceAt = Callable[[float], HarmonicBalance]
@@ -124,9 +125,10 @@ def _correct(
         nudge = _DERIVATIVE_STEP * span
         slope = (balance_at(s + nudge).residual(z) - linear.residual) / _DERIVATIVE_STEP
         try:
-            along, across = linear.solve(linear.residual), linear.solve(slope)
+            factors = Factorisation(linear, linear.residual)
         except np.linalg.LinAlgError:
             return None, taken + 1
+        along, across = factors.solution, factors.solve(slope)
         # the point stays in the plane: tangent . (dz, ds) = 0
         ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
         dz = -along - ds * across
