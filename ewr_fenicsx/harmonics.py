@@ -89,22 +89,22 @@ class FourierBasis:
         Returns:
             ``(m, n_c, n_c)`` real matrices on real coefficients.
         """
-        spectrum = scipy.fft.fft(weights, axis=0) / self.samples
+        spectrum = scipy.fft.fft(weights.T, axis=1) / self.samples
         orders = np.array(self.orders)
-        difference = spectrum[np.subtract.outer(orders, orders) % self.samples]
-        total = spectrum[np.add.outer(orders, orders) % self.samples]
+        difference = spectrum[:, np.subtract.outer(orders, orders) % self.samples]
+        total = spectrum[:, np.add.outer(orders, orders) % self.samples]
         if self.has_mean:  # the mean is a plain average; a harmonic's amplitude is twice its average with exp(-i h tau)
-            difference[0] *= 0.5
-            total[0] *= 0.5
-        difference, total = np.moveaxis(difference, -1, 0), np.moveaxis(total, -1, 0)
-        pick = np.ix_(np.arange(weights.shape[1]), self.slot, self.slot)
-        difference, total = difference[pick], total[pick]
-        row, column = self.is_real_part[:, None], self.is_real_part[None, :]
-        return np.where(
-            row,
-            np.where(column, (difference + total).real, (total - difference).imag),
-            np.where(column, (difference + total).imag, (difference - total).real),
-        )
+            difference[:, 0] *= 0.5
+            total[:, 0] *= 0.5
+        plus, minus = total + difference, difference - total
+        real, imaginary = np.flatnonzero(self.is_real_part), np.flatnonzero(~self.is_real_part)
+        oscillates = slice(1 if self.has_mean else 0, None)
+        matrices = np.empty((weights.shape[1], self.coefficients, self.coefficients))
+        matrices[:, real[:, None], real] = plus.real
+        matrices[:, real[:, None], imaginary] = -minus.imag[:, :, oscillates]
+        matrices[:, imaginary[:, None], real] = plus.imag[:, oscillates]
+        matrices[:, imaginary[:, None], imaginary] = minus.real[:, oscillates, oscillates]
+        return matrices
 
     def recollection(self, weights: RealArray, since: np.ndarray) -> RealArray:
         """Matrices of "multiply by a weight in time, hold what that was at an earlier sample, then project".
