@@ -126,8 +126,8 @@ class Elimination:
         right = basis.to_amplitudes(load)[:, c]
         for batch in cls._batches(balance, c):
             A, toward_rigid = cls._gather(balance, derivatives, c, shift, batch)
-            known = np.concatenate([A[:, :, mixed], right[batch, :, None], toward_rigid], axis=2)
-            solved = np.linalg.solve(A[:, :, c], known)
+            known = np.concatenate([np.take(A, mixed, axis=2), right[batch, :, None], toward_rigid], axis=2)
+            solved = np.linalg.solve(np.take(A, c, axis=2), known)
             reaction[batch], offset[batch] = solved[:, :, : mixed.size], solved[:, :, mixed.size]
             if batch.start == 0:
                 rigid[:] = solved[0, :, mixed.size + 1 :].real
@@ -176,7 +176,7 @@ class Elimination:
             if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
                 springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
                 value[mean] = springs if d.since is None else 0.0
-            A[:, at] += value[:, :, None] * H[:, columns]
+            A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
             A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
             toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
         weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
@@ -196,8 +196,8 @@ class Elimination:
         if by_force:
             place = np.searchsorted(self.steady, columns)
             return -self.reaction[:, place], self.offset[:, place], -self.rigid[place]
-        H = self.balance.compliance.flexibility[:, columns]
-        H_m, H_c = H[:, :, self.mixed].copy(), H[:, :, self.steady]
+        H = np.take(self.balance.compliance.flexibility, columns, axis=1)
+        H_m, H_c = (np.take(H, rows, axis=2) for rows in (self.mixed, self.steady))
         own = np.searchsorted(self.mixed, columns)
         near = (own < self.mixed.size) & (self.mixed[np.minimum(own, self.mixed.size - 1)] == columns)
         H_m[:, np.flatnonzero(near), own[near]] += REDUNDANCY * self.balance.system.flexibility[columns[near]]

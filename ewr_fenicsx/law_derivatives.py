@@ -7,8 +7,9 @@ add up to one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,27 +43,12 @@ class Derivative:
         """By a motion without its mean."""
         return self.variable in ("velocity", "oscillation")
 
-    @property
+    @cached_property
     def changes(self) -> np.ndarray:
         """``(K,)`` whether the derivative differs from sample to sample, or reaches back to another."""
         if self.since is not None:
             return np.any(self.since >= 0, axis=0)
         return np.any(self.values != self.values[0], axis=0)
-
-    def project(self, basis: FourierBasis, omega: float) -> RealArray:
-        """``(K, n_c, n_c)`` matrices on the coefficients of the forces or motions at ``columns``."""
-        changes, n_c = self.changes, basis.coefficients
-        matrices = np.zeros((self.rows.size, n_c, n_c))
-        if self.since is None:
-            matrices[:, np.arange(n_c), np.arange(n_c)] = self.values[0][:, None]
-            matrices[changes] = basis.multiplication(self.values[:, changes])
-        else:
-            matrices[changes] = basis.recollection(self.values[:, changes], self.since[:, changes])
-        if self.by_rate:
-            return basis.differentiate_columns(matrices, omega)
-        if self.blind_to_mean and basis.has_mean:
-            matrices[:, :, 0] = 0.0
-        return matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +73,11 @@ def project_derivatives(
         static_row: ``(m,)`` weight of each row's mean equation.
     """
     sums: dict[tuple[bool, bytes, bytes], ProjectedDerivative] = {}
-    for d in derivatives:
-        matrices = d.project(basis, omega)
+    for d, matrices in zip(derivatives, _project_products(derivatives, basis), strict=True):
+        if d.by_rate:
+            matrices = basis.differentiate_columns(matrices, omega)
+        elif d.blind_to_mean and basis.has_mean:
+            matrices[:, :, 0] = 0.0
         if basis.has_mean:
             matrices[:, 0] *= static_row[d.rows, None]
         same = d.by_force, d.rows.tobytes(), d.columns.tobytes()
@@ -97,3 +86,20 @@ def project_derivatives(
         else:
             sums[same] = ProjectedDerivative(d.rows, d.columns, d.by_force, matrices)
     return list(sums.values())
+
+
+def _project_products(derivatives: Sequence[Derivative], basis: FourierBasis) -> Iterator[RealArray]:
+    """``(K, n_c, n_c)`` of each derivative: "multiply by it, then project". What changes over time is done at once."""
+    changing = [d.values[:, d.changes] for d in derivatives if d.since is None]
+    products = basis.multiplication(np.concatenate([np.zeros((basis.samples, 0)), *changing], axis=1))
+    first, order = 0, np.arange(basis.coefficients)
+    for d in derivatives:
+        matrices = np.zeros((d.rows.size, order.size, order.size))
+        if d.since is None:
+            last = first + np.count_nonzero(d.changes)
+            matrices[:, order, order] = d.values[0][:, None]
+            matrices[d.changes] = products[first:last]
+            first = last
+        else:
+            matrices[d.changes] = basis.recollection(d.values[:, d.changes], d.since[:, d.changes])
+        yield matrices
