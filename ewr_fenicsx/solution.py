@@ -170,17 +170,21 @@ class PeriodicSolution:
         """Speed of sliding at every pair over one period, along both tangents in 3-D, ``(samples, K_c)`` [m/s].
 
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
-        add up over a cycle to a distance that nothing slides.
+        add up over a cycle to a distance that nothing slides. Where springs close the truncation, their ends slide: the
+        truncated slip lacks what the springs bend.
         """
         basis = FourierBasis(self.orders, samples)
-        speed = np.zeros((samples, self.problem.model.pairs))
-        for slip in self.slip_amplitudes.values():
-            speed = np.hypot(speed, basis.synthesise(self._rate * slip))
-        slips, told = np.zeros(speed.shape, dtype=bool), np.zeros(speed.shape[1], dtype=bool)
+        velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
+        slips = np.zeros((samples, self.problem.model.pairs), dtype=bool)
+        told = np.zeros(slips.shape[1], dtype=bool)
         for law, fields in self.law_fields(basis):
             if "slipping" in fields:
                 slips[:, law.pairs] |= fields["slipping"]
                 told[law.pairs] = True
+            if "surface_slip" in fields:
+                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
+                velocity[law.direction][:, law.pairs] = self.problem.frequency * samples * step
+        speed = np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
         return speed * (slips | ~told)
 
     @cached_property

@@ -104,4 +104,9 @@ class SprungCoulomb(Law):
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
         force, since, _ = self.run(motion)
-        return {"admissible_friction_force": force, "slipping": since == np.arange(len(since))[:, None]}
+        bent = self.flexibility * (force - motion.force["tangential"])
+        return {
+            "admissible_friction_force": force,
+            "slipping": since == np.arange(len(since))[:, None],
+            "surface_slip": motion.oscillation["tangential"] + bent,
+        }

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.archard import measure_wear_rate
 from ewr_fenicsx.solution import PeriodicSolution
 
 SPRING, LIMIT, SUPPORT = 2.0, 0.6, 1e7
@@ -123,6 +124,9 @@ def test_springs_that_close_the_truncation_need_one_harmonic(amplitude):
     assert solution.merit["friction_dissipation"] == pytest.approx(exact_work(amplitude), rel=2e-5)
     force = -solution.history("admissible_friction_force", 1024)[:, 0]
     np.testing.assert_allclose(force, exact_force(amplitude, 2 * np.pi * np.arange(1024) / 1024), atol=1e-6 * LIMIT)
+    slid = 4 * (amplitude - LIMIT / SPRING)  # what slides is the spring's end, not the truncated slip
+    assert solution.merit["J_T"] == pytest.approx(slid, rel=2e-5)
+    assert measure_wear_rate(solution, 1e-3) == pytest.approx(1e-3 * LIMIT * slid, rel=2e-5)
     worse = solve(replace(problem, closure="dashpot"))
     assert abs(worse.merit["friction_dissipation"] / exact_work(amplitude) - 1) > 0.01
 
