@@ -57,7 +57,7 @@ class ContactLaws:
         normal: ``"unilateral"`` (Signorini), ``"bonded"``, ``"prescribed"`` (``normal_force`` given, no gap), or the
             name of a kind registered elsewhere.
         tangential: ``"coulomb"``, ``"frictionless"``, ``"bonded"``, or the name of a kind registered elsewhere.
-        friction: Coefficient of friction, scalar or ``(K,)``, a value for each of the ``K`` pairs.
+        friction: Coefficient of friction, scalar or ``(K,)``, one for each of its pairs in the group's order.
         normal_force: Prescribed normal force [N], scalar or ``(K,)``, or harmonic -> such amplitudes (complex).
         initial_gap: Clearance [m], scalar or ``(K,)``; wear adds to it.
         static_friction: ``"resolved"`` finds the mean friction force of pairs that slip; ``"zero"`` sets it to zero.

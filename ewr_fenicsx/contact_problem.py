@@ -323,7 +323,7 @@ def build_laws(
     rubs_to_hold: bool,
 ) -> list[Law]:
     """Law objects of one group of pairs."""
-    pick = lambda value: spread_over_pairs(value, pairs, problem.model.pairs)  # noqa: E731
+    pick = lambda value: pick_pairs(value, pairs, problem.model.pairs)  # noqa: E731
     rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
     weights, own = {}, {direction: flexibility[at] for direction, at in rows.items()}
     for direction in own:
@@ -339,13 +339,18 @@ def build_laws(
     return [law for kind in laws.kinds for law in kind.build(group)]
 
 
+def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:
+    """``(K,)`` values of some pairs, in their order, of a problem's scalar or ``(K_c,)``."""
+    return spread_over_pairs(value, np.arange(total), total)[pairs]
+
+
 def choose_closing(
     problem: ContactProblem, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray
 ) -> RealArray:
     """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
     highest = problem.basis.orders[-1]
     if not isinstance(problem.closure, str):
-        return spread_over_pairs(problem.closure, pairs, problem.model.pairs)
+        return pick_pairs(problem.closure, pairs, problem.model.pairs)
     if not problem.has_springs or not highest:
         return np.zeros(pairs.size)
     return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)

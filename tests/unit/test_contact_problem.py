@@ -119,6 +119,21 @@ def test_weights_follow_each_rows_own_flexibility():
     np.testing.assert_array_equal(given[1].rho, [1.0, 2.0, 3.0])
 
 
+def test_weights_are_given_pair_by_pair_whatever_the_order_of_a_group():
+    """The laws' own values come in the order of their group."""
+    laws = ContactLaws(friction=[0.1, 0.2, 0.3], initial_gap=[4.0, 5.0, 6.0])
+    given = {"rho_normal": [1.0, 2.0, 3.0], "rho_tangential": [7.0, 8.0, 9.0]}
+    dashpots = ContactProblem(random_structure(), [([2, 0, 1], laws)], 0.25, 3, **given)
+    signorini, coulomb = dashpots.system.laws
+    np.testing.assert_array_equal(signorini.rho, [3.0, 1.0, 2.0])
+    np.testing.assert_array_equal(signorini.initial_gap, [4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(coulomb.rho, [9.0, 7.0, 8.0])
+    np.testing.assert_array_equal(coulomb.friction, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(dashpots.friction, [0.2, 0.3, 0.1])
+    sprung = replace(dashpots, closure=[0.01, 0.02, 0.03]).system.laws[1]
+    np.testing.assert_array_equal(sprung.flexibility, [0.03, 0.01, 0.02])
+
+
 def test_prescribed_forces_load_the_structure_where_it_has_normal_rows():
     model = replace(random_structure(), load={1: np.arange(9.0)})
     force = {0: 5.0, 1: np.array([1j, 2.0, 0.0])}
