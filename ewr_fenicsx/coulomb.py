@@ -17,8 +17,9 @@ from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 
-# Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout.
-MEAN_FRICTION_REGULARISATION = 1e-4
+# Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout. A pair
+# that sticks only with a mean creeps by about this share, times rho over the default, which an accuracy raises like N.
+MEAN_FRICTION_REGULARISATION = 1e-6
 
 
 @register_law("tangential", "coulomb")

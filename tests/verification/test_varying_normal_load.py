@@ -8,13 +8,15 @@ harmonics are kept. ``"resolved"`` converges to the steady state of the time ste
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 from small_models import friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.estimates import match_mobility
 from ewr_fenicsx.solution import PeriodicSolution
 
 DAMPING, FREQUENCY, MEAN_LOAD = 0.15, 0.8, 0.4
@@ -117,3 +119,46 @@ def test_under_a_constant_load_both_agree():
     """By symmetry the mean friction is zero: there the two treatments are one."""
     resolved, zero = (balance_harmonics(0.0, 0.0, kind, 9) for kind in ("resolved", "zero"))
     np.testing.assert_allclose(resolved.forces, zero.forces, atol=1e-6)
+
+
+def shaken_down(closure: str = "dashpot") -> tuple[ContactProblem, float]:
+    """A spring ``k`` from a driven mass to a slider that sticks, but only where it has shifted.
+
+    While it sticks, friction is ``m - 0.7 cos tau`` under ``N = 1 + 0.8 cos tau``: within the limits throughout where
+    ``-0.9 <= m <= -0.5`` or ``0.5 <= m <= 0.9``, and not without a mean.
+
+    Returns:
+        The problem, and the amplitude of the mass.
+    """
+    k, support, mass, damping = 2.0, 1.0, 0.25, 0.05
+    amplitude = 0.7 / k
+    model = ReducedModel(
+        mass=np.diag([mass, 0.0]),
+        damping=np.diag([damping, 0.02]),
+        stiffness=[[support + k, -k], [-k, k]],
+        tangential=[[0.0, 1.0]],
+        load={1: [(support + k - mass + 1j * damping) * amplitude, 0.0]},
+        outputs={"mass": [1.0, 0.0]},
+    )
+    laws = ContactLaws("prescribed", normal_force={0: 1.0, 1: 0.8}, friction=1.0)
+    return ContactProblem(model, laws, 1 / (2 * np.pi), 5, closure=closure), amplitude
+
+
+@pytest.mark.parametrize("closure", ["dashpot", "spring"])
+@pytest.mark.parametrize("highest", [5, 31, 63])
+def test_a_pair_that_sticks_once_it_has_shifted_takes_nothing(closure, highest):
+    """With the default weights and with those of an accuracy, which grow with the harmonics."""
+    problem, amplitude = shaken_down(closure)
+    posed = replace(problem, harmonics=highest)
+    for weight in (None, match_mobility(posed)) if closure == "dashpot" else (None,):
+        solution = solve(replace(posed, rho_tangential=weight))
+        assert solution.output("mass")[1] == pytest.approx(amplitude, rel=1e-4)
+        assert 0.499 < abs(solution.pair_forces["tangential"][0, 0].real) < 0.9
+        assert solution.merit["friction_dissipation"] < 1e-4 and solution.merit["J_T"] < 1e-4 * 4 * amplitude
+
+
+def test_a_pair_that_sticks_once_it_has_shifted_needs_few_harmonics():
+    problem, amplitude = shaken_down()
+    found = solve_to_accuracy(problem, 1e-4)
+    assert found.reached and found.solution.orders[-1] <= 5
+    assert abs(found.solution.output("mass")[1] / amplitude - 1) < 1e-5
