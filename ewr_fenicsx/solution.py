@@ -173,9 +173,10 @@ class PeriodicSolution:
         add up over a cycle to a distance that nothing slides. Where springs close the truncation, their ends slide: the
         truncated slip lacks what the springs bend.
         """
-        basis = FourierBasis(self.orders, samples)
+        stride = self._find_stride(samples)
+        basis = FourierBasis(self.orders, stride * samples)
         velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
-        slips = np.zeros((samples, self.problem.model.pairs), dtype=bool)
+        slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
         told = np.zeros(slips.shape[1], dtype=bool)
         for law, fields in self.law_fields(basis):
             if "slipping" in fields:
@@ -183,9 +184,13 @@ class PeriodicSolution:
                 told[law.pairs] = True
             if "surface_slip" in fields:
                 step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
-                velocity[law.direction][:, law.pairs] = self.problem.frequency * samples * step
+                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
         speed = np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
-        return speed * (slips | ~told)
+        return (speed * (slips | ~told))[::stride]
+
+    def _find_stride(self, samples: int) -> int:
+        """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""
+        return -(-self.problem.basis.samples // samples)
 
     @cached_property
     def slip_amplitudes(self) -> Mapping[str, ComplexArray]:
@@ -203,9 +208,13 @@ class PeriodicSolution:
         system = self.problem.system
         if not system.laws:
             return []
+        stride = self._find_stride(basis.samples)
+        often = FourierBasis(basis.orders, stride * basis.samples)
         motion = system.compliance.motion(self.forces, self.rigid)
-        seen = HarmonicBalance(system).sample(self.forces, motion, basis)
-        return [(law, law.fields(motion)) for law, motion in zip(system.laws, seen, strict=True)]
+        seen = HarmonicBalance(system).sample(self.forces, motion, often)
+        reported = [law.fields(motion) for motion, law in zip(seen, system.laws, strict=True)]
+        thin = [{name: values[::stride] for name, values in fields.items()} for fields in reported]
+        return list(zip(system.laws, thin, strict=True))
 
     @cached_property
     def pair_forces(self) -> Mapping[str, ComplexArray]:

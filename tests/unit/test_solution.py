@@ -97,6 +97,21 @@ def test_residual_in_time_is_that_of_the_laws(rubbing):
     assert np.abs(friction - admissible).max() > 1e-4, "truncation leaves the cone a little"
 
 
+@pytest.mark.parametrize("samples", [1, 8, 32, 100])
+@pytest.mark.parametrize("closure", ["dashpot", "spring"])
+def test_what_happens_at_an_instant_does_not_depend_on_how_many_are_asked_for(closure, samples):
+    """Friction closed by springs remembers what happened between those instants."""
+    problem = ContactProblem(dovetail(excitation=300.0), ContactLaws(friction=0.2), 481.0, 5, 800, closure=closure)
+    solution = solve(problem)
+    every = 800 // samples
+    for name in HISTORIES:
+        fine = solution.history(name, 800)
+        np.testing.assert_allclose(solution.history(name, samples), fine[::every], rtol=0, atol=1e-9 * abs(fine).max())
+    np.testing.assert_array_equal(classify_contact(solution, samples), classify_contact(solution, 800)[::every])
+    fine = solution.sliding_speed(800)
+    np.testing.assert_allclose(solution.sliding_speed(samples), fine[::every], rtol=0, atol=1e-9 * fine.max())
+
+
 @pytest.mark.parametrize(
     "normal, tangential",
     [("bonded", "bonded"), ("unilateral", "bonded"), ("bonded", "coulomb"), ("unilateral", "coulomb")],
