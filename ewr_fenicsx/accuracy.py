@@ -232,7 +232,7 @@ def pose_level(problem: ContactProblem, top: int, density: float, dropped: froze
     kept = tuple(h for h in range(top + 1) if h not in dropped)
     chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
-    if problem.rho_tangential is not None or problem.has_springs:
+    if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
     return replace(posed, rho_tangential=match_mobility(posed))
 

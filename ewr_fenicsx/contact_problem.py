@@ -39,7 +39,7 @@ class ContactProblem:
     Args:
         model: The structure.
         laws: One ``ContactLaws`` for all pairs, or a sequence of ``(pairs, ContactLaws)`` that covers each pair once.
-        frequency: Excitation frequency [Hz].
+        frequency: Excitation frequency [Hz]; zero where nothing oscillates.
         harmonics: Highest harmonic N (0..N are kept) or a list of harmonics.
         samples: Samples a period for the laws; None: 32 a highest harmonic or more (a power of two), at least 128.
         rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
@@ -107,7 +107,7 @@ class ContactProblem:
         if missing:
             raise ModelError(
                 f"the model is loaded at harmonics {missing}, the problem keeps only {self.basis.orders}; "
-                "add them to harmonics or remove the load"
+                f"{'add them to harmonics' if self.frequency else 'give a positive frequency'} or remove the load"
             )
         if 0 not in self.basis.orders and np.any(self.opens):
             raise ModelError(
@@ -117,8 +117,9 @@ class ContactProblem:
 
     @cached_property
     def basis(self) -> FourierBasis:
-        """Fourier basis of the unknowns."""
-        return select_basis(self.harmonics, self.samples)
+        """Fourier basis of the unknowns: harmonic 0 alone at 0 Hz."""
+        basis = select_basis(self.harmonics, self.samples if self.frequency else None)
+        return basis if self.frequency else FourierBasis((0,), 1)
 
     @property
     def has_springs(self) -> bool:
@@ -294,7 +295,8 @@ def compose(problem: ContactProblem) -> ContactSystem:
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
     for h, f in problem.excitation.items():  # loads are looked at where the problem is posed
         if h not in basis.orders and np.any(f):
-            raise ModelError(f"the prescribed normal force has a harmonic {h}; add it to harmonics")
+            remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
+            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.indicators import (
@@ -142,6 +142,28 @@ def test_forces_in_bonds_are_those_that_hold_stuck_pairs(normal, tangential, mod
         solution.output("tip")[1:], bonded.output("tip")[1:], atol=1e-9 * np.abs(bonded.output("tip")[1])
     )
     assert bonded.history("normal_force", 64).min() > 0, "else the comparison is void"
+
+
+@pytest.mark.parametrize("laws", [ContactLaws(initial_gap=0.01), ContactLaws("bonded", "bonded")])
+def test_a_static_state_needs_neither_a_frequency_nor_a_word_on_harmonics(laws):
+    """Forces balance, and everything can be read off, at 0 Hz as at any frequency at which nothing oscillates."""
+    model = random_structure()
+    model = replace(model, load={0: -5 * model.normal.sum(axis=0)})  # towards each other
+    static = solve(ContactProblem(model, laws, frequency=0.0))
+    assert static.orders == (0,) and static.merit["J_T"] == 0.0 and "at rest" in static.summary()
+    x = static.coordinates[0].real
+    normal, friction = (static.history(name, 1)[0] for name in ("normal_force", "friction_force"))
+    assert np.abs(normal).max() > 0.1
+    contact = model.normal.T @ normal + model.tangential.T @ friction
+    np.testing.assert_allclose(model.stiffness @ x, model.load[0].real + contact, atol=1e-9)
+    slow = solve(ContactProblem(model, laws, frequency=0.1))
+    np.testing.assert_allclose(slow.coordinates[0], static.coordinates[0], atol=1e-9)
+    accurate = solve_to_accuracy(ContactProblem(model, laws, frequency=0.0), 0.01)
+    assert accurate.reached and len(accurate.levels) == 1
+    np.testing.assert_allclose(accurate.solution.coordinates, static.coordinates, atol=1e-9)
+    shaken = {0: model.load[0], 1: model.load[0]}
+    with pytest.raises(ModelError, match=r"loaded at harmonics \[1\].*give a positive frequency or remove the load"):
+        ContactProblem(model, laws, frequency=0.0, load=shaken)
 
 
 def test_forces_in_bonds_of_bodies_in_space():
