@@ -260,8 +260,9 @@ def scale_rigid_modes(modes: RealArray, rows: RealArray) -> RealArray:
     _, values, turn = np.linalg.svd(rows @ modes, full_matrices=True)
     if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
         raise ModelError(
-            f"{modes.shape[1]} rigid motions of floating bodies, but the contact rows tell only "
-            f"{int((values > 1e-10 * values[0]).sum())} of them apart; clamp the body, bond a flank or add pairs"
+            f"{modes.shape[1]} rigid motions of floating bodies, but the forces of contact tell only "
+            f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart; clamp the body, bond a flank, or "
+            "add friction or pairs"
         )
     modes = modes @ turn.T
     return modes / np.abs(rows @ modes).max(axis=0)

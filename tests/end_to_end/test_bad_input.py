@@ -112,6 +112,11 @@ def test_floating_body_that_nothing_holds(ewr):
     assert re.search(r"opens pairs \d, \d, \d most; .* \(those pairs are on joint\)", message)
 
 
+def test_floating_body_with_no_force_that_could_hold_it(ewr):
+    message = ewr(addition="[contact]\nnormal = 'bonded'\ntangential = 'frictionless'")
+    assert "1 rigid motions of floating bodies, but the forces of contact tell only 0 of them apart; clamp" in message
+
+
 def test_unwritable_folder(ewr, tmp_path):
     message = ewr(arguments=("--out", "/proc/ewr/results"))  # even root cannot write there
     assert "result folder /proc/ewr/results cannot be made" in message

@@ -175,6 +175,8 @@ def test_rigid_motions_that_contact_cannot_tell_apart_are_refused():
         ModelError, match=r"3 rigid motions of floating bodies, but .* tell only 2 of them apart; clamp"
     ):
         condense(model, model.normal[:2], {}, 1.0, (0, 1))
+    with pytest.raises(ModelError, match=r"3 rigid motions .* tell only 0 of them apart; .* add friction or pairs"):
+        condense(model, model.normal[:0], {}, 1.0, (0, 1))  # given and bonded forces are none that could hold
 
 
 def test_a_vibration_without_mean_needs_no_equilibrium():
