@@ -29,7 +29,7 @@ from pydantic_core import PydanticCustomError
 
 from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene_entries import Integer, Number, Positive, Ratio, Section, Vector, choose_form, entry, section
-from ewr_fenicsx.scene_errors import explain_mistakes, list_mistakes, name_scene
+from ewr_fenicsx.scene_errors import explain_mistakes, explain_syntax, list_mistakes, name_scene
 from ewr_fenicsx.scene_joint import Contact, Flank
 from ewr_fenicsx.scene_sense import find_contradictions, find_doubts
 
@@ -389,11 +389,11 @@ def load_scene(path: str | Path, *, warn: bool = True) -> Scene:
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise SceneError(f"scene {path}: cannot be read: {error.strerror}; give the path of a .toml file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"scene {path}: not valid TOML: {error}") from None
+        raise SceneError(f"scene {path}: not valid TOML: {explain_syntax(error)}") from None
     scene = Scene.model_validate(data, context={"file": path, "folder": path.resolve().parent})
     for doubt in scene.doubts if warn else ():
         warnings.warn(f"{scene.where}: {doubt}", SceneWarning, stacklevel=2)

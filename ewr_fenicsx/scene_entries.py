@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Strict, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -33,6 +33,7 @@ class Section(BaseModel):
     """A table of the scene: frozen, and unknown keys are errors that name the nearest known one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    forms: ClassVar[Mapping[str, type[Section]]] = {}  # by their ``kind``, of a table that has several
 
     @model_validator(mode="before")
     @classmethod
@@ -41,7 +42,9 @@ class Section(BaseModel):
             known = [field.alias or name for name, field in cls.model_fields.items()]
             for key in data:
                 if key not in known and key not in cls.model_fields:
-                    hint = nearest(key, known) or "; known keys: " + ", ".join(known)
+                    others = [kind for kind, form in cls.forms.items() if key in form.model_fields]
+                    hint = f'; it belongs to kind = "{others[0]}"' if others else nearest(key, known)
+                    hint = hint or "; known keys: " + ", ".join(known)
                     raise PydanticCustomError("unknown_key", "unknown key{hint}", {"key": str(key), "hint": hint})
         return data
 
@@ -49,6 +52,8 @@ class Section(BaseModel):
 def choose_form(*forms: tuple[str, type[Section]]) -> Any:
     """Alternative forms of a table, told apart by its key ``kind``; the first is meant where ``kind`` is left out."""
     usual = forms[0][0]
+    for _, form in forms:
+        form.forms = dict(forms)
     # the tags must not look like keys: pydantic mixes them into the path of an error
     tag = lambda data: f"kind={data.get('kind', usual) if isinstance(data, Mapping) else getattr(data, 'kind', usual)}"  # noqa: E731
     known = " or ".join(f'"{kind}"' for kind, _ in forms)

@@ -18,11 +18,19 @@ def explain_mistakes(error: ValidationError, data: Any, file: Path | None, secti
         file: Where it was read from, or None.
         sections: The scene's fields by name, to tell where a misplaced key belongs.
     """
-    mistakes: dict[str, list[str]] = {}
+    mistakes: dict[str, dict[str, None]] = {}
     for detail in error.errors(include_url=False):
         key, message = _explain_one(detail, data, sections)
-        mistakes.setdefault(key, []).append(message)
+        mistakes.setdefault(key, {})[message] = None
+    for key in list(mistakes):  # of a list that may be a number as well, only what is wrong in it
+        if any(other.startswith(f"{key.split(' = ')[0]}.") for other in mistakes):
+            del mistakes[key]
     return list_mistakes([f"{key}: " * bool(key) + ", or ".join(messages) for key, messages in mistakes.items()], file)
+
+
+def explain_syntax(error: ValueError) -> str:
+    """What is wrong with a file that is not TOML; the reader's own words on keys that stand there twice tell nobody."""
+    return str(error).replace("Cannot overwrite a value", "a key that was given before")
 
 
 def list_mistakes(lines: Sequence[str], file: Path | None) -> str:
@@ -42,7 +50,7 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     if kind == "unknown_key":
         loc = (*loc, detail["ctx"]["key"])
         homes = [name for name, field in sections.items() if loc[-1] in getattr(field.annotation, "model_fields", {})]
-        if "did you mean" not in message and homes:
+        if "known keys" in message and homes:
             message = f"unknown key here; it belongs to [{homes[0]}]"
     elif kind == "kind":
         loc = (*loc, "kind")
@@ -51,12 +59,16 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     elif kind == "too_long":
         count, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
         message = f"has too many entries: {count}, and only {most} mean something"
+    elif kind == "too_short":
+        message = f"has too few entries; give at least {detail['ctx']['min_length']}"
     elif kind == "missing":
         return ".".join(
             str(step) for step in loc if not str(step).startswith("kind=")
         ), "missing, and it has no default"
     for limit in {"gt", "ge", "lt", "le"} & set(detail.get("ctx", ())):  # pydantic writes 1e-13 with all its zeros
         message = f"{message.rsplit(' ', 1)[0]} {detail['ctx'][limit]:g}"
+    if kind in ("dict_type", "model_type", "model_attributes_type"):
+        message = "should be a table"
     path: list[str] = []
     for step in loc:
         # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote

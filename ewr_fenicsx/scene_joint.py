@@ -19,7 +19,7 @@ def _check_law(side: Side) -> Callable[[str], str]:
     def check(name: str) -> str:
         if name not in (known := known_laws(side)):
             choices = ", ".join(f"'{law}'" for law in known)
-            message = "should be one of {choices}{hint}, or of a law that contact.law_files register"
+            message = "should be one of {choices}, or of a law that contact.law_files register{hint}"
             raise PydanticCustomError("law", message, {"choices": choices, "hint": nearest(name, known)})
         return name
 

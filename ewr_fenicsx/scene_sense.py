@@ -147,6 +147,13 @@ def _check_harmonics(scene: Scene) -> Iterator[str]:
             f'"{laws_in_force(scene)[opening[0]].normal}" may part: a normal force without a mean pulls as much as it '
             "pushes; include 0"
         )
+    pressed = {w: c.normal_force for w, c in laws_in_force(scene).items() if c.normal == "prescribed" and c.normal_force}
+    if pressed and 0 not in scene.harmonics and scene.solver.accuracy is None:
+        where, force = next(iter(pressed.items()))
+        yield (
+            f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, at which {where}.normal_force = "
+            f"{force:g} acts; include it"
+        )
     if static and not scene.supports.clamp:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
-from small_scenes import SCENE
+from small_scenes import AT, HEAD, SCENE
 
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
@@ -82,12 +82,28 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
             r"outputs\.tip\.direction = \[0, 0\]: should not be the zero vector",
         ),
         ("[contact]\n[contact]", r"not valid TOML"),
+        ("frequency = 900", r"not valid TOML: a key that was given before \.at end of document.$"),
+        ("[loads.s]\nspeed = 9000", r'loads\.s\.speed = 9000: unknown key; it belongs to kind = "rotation"$'),
+        ("[damping]\nratio = 0.01", r'damping\.ratio = 0\.01: unknown key; it belongs to kind = "modal"$'),
+        ("[outputs]\ntip = 'tip'", r"outputs\.tip = 'tip': should be a table$"),
+        ("[loads.s]\nboundary = 'tip'\nforce = []", r"loads\.s\.force = \[\]: has too few entries$"),
+        ("[solver]\nharmonics = [0, 1.0]", r"scene\.toml: solver\.harmonics\.1 = 1\.0: should be a whole number$"),
+        (
+            "[contact]\nnormal = 'Bonded'",
+            r"should be one of .*, or of a law that contact\.law_files register; did you mean \"bonded\"\?$",
+        ),
     ],
 )
 def test_mistake_is_named_with_file_key_value_and_expectation(read, tmp_path, addition, expected):
     with pytest.raises(SceneError, match=expected) as caught:
         read(SCENE + addition)
     assert str(caught.value).startswith(f"scene {tmp_path / 'scene.toml'}: ")
+
+
+def test_scene_that_an_editor_marked_as_utf_8_is_read(tmp_path):
+    (tmp_path / "builder.py").touch()
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8-sig")
+    assert load_scene(tmp_path / "scene.toml").frequencies == (1000,)
 
 
 def test_all_mistakes_come_at_once(read):
@@ -103,6 +119,8 @@ def test_missing_tables_and_files_are_named(read, tmp_path):
         SceneError, match=r'excitation\.frequency: missing, and the load "shake" oscillates; give the frequency'
     ):
         read(SCENE.replace("[excitation]\nfrequency = 1000", ""))
+    with pytest.raises(SceneError, match=r"loads: has too few entries; give at least 1$"):
+        read(HEAD + AT + "[loads]")
     with pytest.raises(SceneError, match=r"geometry\.source = 'bilder\.py': no such file: .*bilder\.py"):
         read(SCENE.replace("builder.py", "bilder.py"))
     with pytest.raises(SceneError, match=r"should be a builder \(\.py\) or a gmsh mesh \(\.msh\)"):
@@ -153,7 +171,7 @@ def test_effects_follow_the_scene(read):
         assert "friction" not in on(SCENE + "[contact]\nfriction = 0")
     assert "centrifugal load" in on(SCENE + "[loads.spin]\nkind = 'rotation'\nspeed = 9000\ncentre = [0, -0.3]")
     odd = SCENE.replace("force = [0, 20e3]", "force = [0, 20e3]\nharmonic = 1") + "[solver]\nharmonics = [1, 3, 5]"
-    assert "odd harmonics only" in on(odd + "\n[contact]\nnormal = 'prescribed'\nnormal_force = 100.0")
+    assert "odd harmonics only" in on(odd + "\n[contact]\nnormal = 'bonded'")
 
 
 def test_rotation_is_static():

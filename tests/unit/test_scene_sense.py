@@ -174,6 +174,10 @@ def test_a_static_scene_needs_no_frequency(read):
             HEAD + SHAKE + "[excitation]\nfrequency = 900.0\n[solver]\nharmonics = [1, 2, 3]",
             'solver.harmonics = [1, 2, 3] leave out harmonic 0, and contact.normal = "unilateral" may part: a normal',
         ),
+        (
+            HEAD + SHAKE + AT + "[contact]\nnormal = 'prescribed'\nnormal_force = 2.5\n[solver]\nharmonics = [1, 3]",
+            "scene.toml: solver.harmonics = [1, 3] leave out harmonic 0, at which contact.normal_force = 2.5 acts; incl",
+        ),
     ],
 )  # fmt: skip
 def test_contradictions_are_errors_that_say_what_was_meant(read, text, expected):
