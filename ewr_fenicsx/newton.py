@@ -112,10 +112,11 @@ def solve(
         solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
+        told = f". Tried: {'; '.join(fallbacks)}" if fallbacks else ""
         advice = "" if attempts[-1].walks else list_remedies(problem)
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
-            f"after {solution.iterations} Newton steps. Tried: {'; '.join(tried)}{advice}",
+            f"after {solution.iterations} Newton steps{told}{advice}",
             best=solution,
         )
     return solution

@@ -67,6 +67,7 @@ def test_a_body_that_walks_has_no_periodic_solution(name):
         solve(problem)
     assert not caught.value.best.converged and len(caught.value.best.fallbacks) == 0, "no other way is tried"
     assert "Try fewer harmonics" not in str(caught.value)
+    assert str(caught.value).count("hangs on friction walks") == 1, "what went wrong is said once"
     steady = integrate(problem, steps=400, periods=30)
     assert not steady.converged and "a body walks" in steady.reason
 
