@@ -36,6 +36,7 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
 TIGHTEST, LOOSEST = 1e-13, 1e-3
+ROUNDING = 10.0  # times what rounding leaves: a residual below is no failure of the solver
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -113,7 +114,7 @@ def solve(
     )
     if raise_on_failure and not solution.converged:
         told = f". Tried: {'; '.join(fallbacks)}" if fallbacks else ""
-        advice = "" if attempts[-1].walks else list_remedies(problem)
+        advice = "" if attempts[-1].walks else list_remedies(problem, solution.residual)
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
             f"after {solution.iterations} Newton steps{told}{advice}",
@@ -150,13 +151,28 @@ def list_rungs(
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 
 
-def list_remedies(problem: ContactProblem) -> str:
-    """What a user may try where every way failed."""
+def list_remedies(problem: ContactProblem, residual: float) -> str:
+    """What a user may try where every way failed, and left this residual."""
+    left = estimate_rounding(problem)
+    if left > TIGHTEST and residual < ROUNDING * left:
+        return (
+            f". At {problem.frequency:g} Hz floating bodies move by far more than they deform, and rounding alone "
+            f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
+            "this; or allow a larger tolerance"
+        )
     weights = "the default weights, " if has_own_weights(problem) else ""
     return (
         f". Try {weights}fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) shows "
         "whether the motion becomes periodic at all"
     )
+
+
+def estimate_rounding(problem: ContactProblem) -> float:
+    """Residual that the rounding of forces leaves, by the motion that they cause over the deformation that counts."""
+    if problem.model.rigid_modes.shape[1] == 0 or problem.frequency == 0:
+        return 0.0
+    moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
+    return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
 
 
 def has_own_weights(problem: ContactProblem) -> bool:

@@ -12,7 +12,7 @@ from small_models import PROBLEMS, dovetail, friction_oscillator, lift_off_oscil
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, newton, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
-from ewr_fenicsx.newton import run_newton
+from ewr_fenicsx.newton import estimate_rounding, run_newton
 from ewr_fenicsx.scene import Solver
 
 
@@ -191,6 +191,16 @@ def test_a_failure_with_weights_of_ones_own_advises_the_default_ones(unreachable
     problem = PROBLEMS["floating, slip"]
     with pytest.raises(NotConverged, match=r"Try the default weights, fewer harmonics, "):
         solve(replace(problem, rho_normal=1e9), tolerance=unreachable)
+
+
+def test_a_failure_by_rounding_far_below_the_modes_of_a_floating_body_says_so():
+    """The motion that rounded forces cause grows as the frequency falls; with what they leave allowed, it is solved."""
+    problem = replace(PROBLEMS["floating, slip"], frequency=1e-3)
+    with pytest.raises(NotConverged, match=r"rounding alone leaves .* larger tolerance$") as caught:
+        solve(problem)
+    assert 1e-8 < caught.value.best.residual < 10 * estimate_rounding(problem)
+    static = np.abs(solve(replace(problem, frequency=1.0)).output("tip"))
+    np.testing.assert_allclose(np.abs(solve(problem, tolerance=1e-5).output("tip"))[1], static[1], rtol=1e-4)
 
 
 def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options, unreachable):
