@@ -26,6 +26,7 @@ SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 def find_contradictions(scene: Scene) -> Iterator[str]:
     """What cannot be meant, one sentence each."""
     yield from _check_harmonics(scene)
+    yield from _check_supports(scene)
     yield from _check_accuracy(scene)
     yield from _check_excitation(scene)
     yield from _check_laws(scene)
@@ -147,18 +148,32 @@ def _check_harmonics(scene: Scene) -> Iterator[str]:
             f'"{laws_in_force(scene)[opening[0]].normal}" may part: a normal force without a mean pulls as much as it '
             "pushes; include 0"
         )
-    pressed = {w: c.normal_force for w, c in laws_in_force(scene).items() if c.normal == "prescribed" and c.normal_force}
+    pressed = [
+        where for where, laws in laws_in_force(scene).items() if laws.normal == "prescribed" and laws.normal_force
+    ]
     if pressed and 0 not in scene.harmonics and scene.solver.accuracy is None:
-        where, force = next(iter(pressed.items()))
         yield (
-            f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, at which {where}.normal_force = "
-            f"{force:g} acts; include it"
+            f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, at which {pressed[0]}.normal_force "
+            "acts; include it"
         )
     if static and not scene.supports.clamp:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '
             "name the boundary that is held"
         )
+
+
+def _check_supports(scene: Scene) -> Iterator[str]:
+    for table, entries, what in (
+        ("loads", scene.loads, "the force does nothing"),
+        ("outputs", scene.outputs, "it never moves"),
+    ):
+        for name, entry in entries.items():
+            if (boundary := getattr(entry, "boundary", None)) in scene.supports.clamp:
+                yield (
+                    f'{table}.{name}.boundary = "{boundary}": supports.clamp holds it, so that {what}; name a boundary '
+                    "that is free"
+                )
 
 
 def _check_accuracy(scene: Scene) -> Iterator[str]:

@@ -171,12 +171,20 @@ def test_a_static_scene_needs_no_frequency(read):
         ),
         (SCENE + "[solver]\nharmonics = 0", "solver.harmonics = [0] leave out harmonic 1"),
         (
+            SCENE + "[loads.base]\nboundary = 'clamp'\nforce = [1, 0]\nharmonic = 1",
+            'loads.base.boundary = "clamp": supports.clamp holds it, so that the force does nothing; name a boundary',
+        ),
+        (
+            SCENE + "[outputs.base]\nboundary = 'clamp'\ndirection = [1, 0]",
+            'outputs.base.boundary = "clamp": supports.clamp holds it, so that it never moves; name a boundary that is',
+        ),
+        (
             HEAD + SHAKE + "[excitation]\nfrequency = 900.0\n[solver]\nharmonics = [1, 2, 3]",
             'solver.harmonics = [1, 2, 3] leave out harmonic 0, and contact.normal = "unilateral" may part: a normal',
         ),
         (
-            HEAD + SHAKE + AT + "[contact]\nnormal = 'prescribed'\nnormal_force = 2.5\n[solver]\nharmonics = [1, 3]",
-            "scene.toml: solver.harmonics = [1, 3] leave out harmonic 0, at which contact.normal_force = 2.5 acts; incl",
+            HEAD + SHAKE + AT + "[contact]\nnormal = 'prescribed'\nnormal_force = 2\n[solver]\nharmonics = [1, 3]",
+            "solver.harmonics = [1, 3] leave out harmonic 0, at which contact.normal_force acts; include it",
         ),
     ],
 )  # fmt: skip
