@@ -119,8 +119,10 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
         steps += attempt.iterations
         if attempt.converged:
             break
-    how = f"corners as sharp as {width:.0e} of the contact forces" if width < np.inf else "no width of corners was enough"
-    return _choose(failed, attempt, steps, how)
+    reached = (
+        f"corners as sharp as {width:.0e} of the contact forces" if width < np.inf else "no corners were blunt enough"
+    )
+    return _choose(failed, attempt, steps, reached)
 
 
 def _round_until_solved(at: BalanceAt, start: RealArray, widths: Sequence[float]) -> tuple[BranchPoint | None, int]:
