@@ -36,7 +36,8 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
 TIGHTEST, LOOSEST = 1e-13, 1e-3
-ROUNDING = 10.0  # times what rounding leaves: a residual below is no failure of the solver
+# Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
+COARSE, ROUNDING = 1e-10, 10.0
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -154,7 +155,7 @@ def list_rungs(
 def list_remedies(problem: ContactProblem, residual: float) -> str:
     """What a user may try where every way failed, and left this residual."""
     left = estimate_rounding(problem)
-    if left > TIGHTEST and residual < ROUNDING * left:
+    if left > COARSE and residual < ROUNDING * left:
         return (
             f". At {problem.frequency:g} Hz floating bodies move by far more than they deform, and rounding alone "
             f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
