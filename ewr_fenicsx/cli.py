@@ -7,6 +7,7 @@ Heavy imports wait until the scene has been read, so that help and mistakes in s
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 import traceback
@@ -45,6 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     petsc4py.init([sys.argv[0], *petsc_options])  # before anything else imports PETSc
     from mpi4py import MPI
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # job schedulers end a run so: the same as Ctrl-C
     comm = MPI.COMM_WORLD
     return stop_together(comm, lambda: COMMANDS[arguments.command](arguments, comm))
 
