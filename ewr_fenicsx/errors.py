@@ -56,6 +56,10 @@ class OutputError(EwrError):
     """Results cannot be written where they were asked for."""
 
 
+class UnwritableFile(OutputError):
+    """The system refuses to write a file, as on a full disk."""
+
+
 class NotConverged(EwrError):
     """The contact solve found no periodic solution.
 

@@ -6,9 +6,11 @@ Fields are XDMF time series over one period, one field a file, degree 1, which P
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import platform
 import resource
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -285,10 +287,18 @@ def measure_memory() -> float:
 
 @contextmanager
 def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDMFFile]:
-    """An XDMF file that holds the mesh; collective."""
-    with dolfinx.io.XDMFFile(domain.comm, str(path), "w") as file:
-        file.write_mesh(domain)
-        yield file
+    """An XDMF file that holds the mesh; collective.
+
+    Raises:
+        OSError: It cannot be written, as on a full disk.
+    """
+    try:
+        with dolfinx.io.XDMFFile(domain.comm, str(path), "w") as file:
+            file.write_mesh(domain)
+            yield file
+    except RuntimeError as error:  # all that dolfinx says of files
+        free = shutil.disk_usage(path.parent).free / 1e6
+        raise OSError(errno.EIO, f"{error} {free:.1f} MB are free there", path) from error
     if domain.comm.rank == 0:
         # dolfinx 0.9 writes https into the name of XInclude; by that name ParaView's Xdmf2 reader crashes
         text = path.read_text(encoding="utf-8")

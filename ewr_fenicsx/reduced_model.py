@@ -23,8 +23,9 @@ import h5py
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
+from ewr_fenicsx.whole_files import replace_file
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
@@ -157,15 +158,9 @@ class ReducedModel:
         """Write the model to an HDF5 file, replacing it, in a folder that is made where there is none.
 
         Raises:
-            OutputError: The file cannot be written.
+            OutputError: The file cannot be written; what was there before stays.
         """
-        try:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            opened = h5py.File(path, "w")
-        except OSError as error:
-            why = error.strerror or error
-            raise OutputError(f"{path} cannot be written: {why}; give a place where files can be") from None
-        with opened as file:
+        with replace_file(Path(path)) as file:
             file.attrs["format"] = _FORMAT
             for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from mpi4py import MPI
 
-from ewr_fenicsx.errors import OutputError
+from ewr_fenicsx.errors import OutputError, UnwritableFile
 from ewr_fenicsx.task_sharing import do_on_rank_zero
 
 SUMMARY = "summary.json"  # its key "files" names all files of the folder
@@ -43,13 +43,14 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
     """A temporary folder beside ``folder`` that takes its place when the block ends, and vanishes when it fails.
 
     Raises:
-        OutputError: As ``check_target``; or the temporary folder cannot be made or moved.
+        OutputError: As ``check_target``; or the temporary folder cannot be made, filled or moved.
     """
     check_target(folder, overwrite=overwrite, comm=comm)
     folder = Path(folder).absolute()
     draft = on_rank_zero(comm, lambda: _make_draft(folder))
     try:
-        yield draft
+        with _name_failure(folder):
+            yield draft
         comm.barrier()
         on_rank_zero(comm, lambda: _move_into_place(draft, folder))
     except BaseException:
@@ -83,12 +84,20 @@ def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:
     """
 
     def name_failure() -> T:
-        try:
+        with _name_failure():
             return action()
-        except OSError as error:
-            raise OutputError(f"cannot write results: {error.filename or ''}: {error.strerror}") from error
 
     return do_on_rank_zero(name_failure, comm)
+
+
+@contextmanager
+def _name_failure(folder: Path | str = "") -> Iterator[None]:
+    """Makes what the system says of files an error with a remedy."""
+    try:
+        yield
+    except OSError as error:
+        where, why = error.filename or folder, error.strerror or error
+        raise UnwritableFile(f"cannot write results: {where}: {why}; make room, or give another --out") from error
 
 
 def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:

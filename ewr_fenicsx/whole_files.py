@@ -15,10 +15,10 @@ from tempfile import NamedTemporaryFile
 
 import h5py
 
-from ewr_fenicsx.errors import OutputError
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.errors import OutputError, UnwritableFile
+from ewr_fenicsx.given import RealArray
 
-_UNWRITABLE = ("cannot be written", "give a place where files can be")
+_UNWRITABLE = (UnwritableFile, "cannot be written", "give a place where files can be, or make room")
 
 
 @contextmanager
@@ -26,15 +26,19 @@ def replace_file(path: Path) -> Iterator[h5py.File]:
     """An HDF5 file to write that takes the place of ``path`` when the block ends well: complete or not at all.
 
     Raises:
-        OutputError: It cannot be written.
+        UnwritableFile: It cannot be written.
     """
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     with _naming(path, _UNWRITABLE):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with h5py.File(draft, "w") as file:
+            with h5py.File(draft, "w", driver="core", backing_store=False) as file:  # on a full disk HDF5 would crash
                 yield file
-            with draft.open("rb") as written:
+                file.flush()
+                image = file.id.get_file_image()
+            with draft.open("wb") as written:
+                written.write(image)
+                written.flush()
                 os.fsync(written.fileno())
             draft.replace(path)
         finally:
@@ -48,7 +52,7 @@ def open_file(path: Path) -> Iterator[h5py.File | None]:
     Raises:
         OutputError: It is no such file, damaged, or may not be read.
     """
-    with _naming(path, ("cannot be read", "give another place, or remove it to begin anew")):
+    with _naming(path, (OutputError, "cannot be read", "give another place, or remove it to begin anew")):
         if not path.is_file():
             yield None
             return
@@ -71,13 +75,13 @@ def check_place(path: Path) -> None:
 
 
 @contextmanager
-def _naming(path: Path, failure: tuple[str, str]) -> Iterator[None]:
+def _naming(path: Path, failure: tuple[type[OutputError], str, str]) -> Iterator[None]:
     """Makes what the system says of a file an error that names the file, what failed and the remedy."""
-    what, remedy = failure
+    kind, what, remedy = failure
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{path} {what}: {error.strerror or error}; {remedy}") from error
+        raise kind(f"{path} {what}: {error.strerror or error}; {remedy}") from error
 
 
 def write_table(path: str | Path, columns: Mapping[str, RealArray]) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError, UnwritableFile
 from ewr_fenicsx.reduced_model import ARRAYS, ReducedModel, read_reduced_model
 from ewr_fenicsx.result_folder import on_rank_zero
 
@@ -54,7 +54,9 @@ def refuse_other_work(folder: Path | None) -> Iterator[None]:
     try:
         yield
     except OutputError as error:
-        raise error if folder is None else OutputError(f"{error}. {_say_remedy(folder)}") from None
+        if folder is None or isinstance(error, UnwritableFile):  # the work is worth keeping
+            raise
+        raise OutputError(f"{error}. {_say_remedy(folder)}") from None
 
 
 @contextmanager
@@ -62,16 +64,16 @@ def keep_work(folder: Path | None, comm: MPI.Comm) -> Iterator[None]:
     """Removes a folder when the block has ended, or has left nothing worth going on with; else says where it is.
 
     Raises:
-        KeyboardInterrupt: With words on where the work is, where there is any.
+        KeyboardInterrupt, UnwritableFile: With words on where the work is, where there is any.
     """
     try:
         yield
     except BaseException as error:  # other ranks may be anywhere: nothing collective here
         if folder is not None and (isinstance(error, NotConverged) or not _holds_work(folder)):
             _remove(folder)  # the same command would end there again
-        elif folder is not None and isinstance(error, KeyboardInterrupt):
+        elif folder is not None and isinstance(error, (KeyboardInterrupt, UnwritableFile)):
             kept = f"the work so far is in {folder}, and the same command goes on from there"
-            raise KeyboardInterrupt(kept) from None
+            raise type(error)("; ".join([*error.args, kept])) from error.__cause__
         raise
     if folder is not None:
         on_rank_zero(comm, lambda: _remove(folder))

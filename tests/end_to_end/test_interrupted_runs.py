@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import signal
 from dataclasses import replace
 from functools import partial
 
+import dolfinx
 import pytest
 from small_scenes import write_blocks
 
@@ -97,6 +101,51 @@ def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, stu
     assert code == 2 and "Traceback" not in told
     assert f"Remove the folder {partial} if you do not need it, or give another --out" in " ".join(told.split())
     assert partial.is_dir() and not (tmp_path / "broken").exists()
+
+
+def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
+    """A run that has solved everything cannot write its fields; with room, it need not solve anything again."""
+    asked, place, _, table = STUDIES["wear"]
+    scene.write_text(asked)
+
+    def refuse(*given, **named):
+        raise RuntimeError("Failed to close HDF5 dataset.")  # what dolfinx says then
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dolfinx.io.XDMFFile, "write_function", refuse)
+        code, told = ewr()
+    partial = tmp_path / "broken.partial"
+    assert code == 2 and "Traceback" not in told
+    told = told.splitlines()[-1]
+    assert re.search(r"cannot write results: .*displacement\.xdmf: Failed .* MB are free there; make room, or ", told)
+    assert told.endswith(f"; the work so far is in {partial}, and the same command goes on from there")
+    assert {path.name for path in tmp_path.iterdir()} == {"broken.partial", "scene.toml"}
+    with monkeypatch.context() as patch:
+        calls = interrupt(patch, place, 1000)
+        code, told = ewr()
+    assert code == 0 and len(calls) == 0 and f"ewr: going on with the work in {partial}" in told
+    assert ewr(out="unbroken")[0] == 0
+    assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
+
+
+def test_a_run_that_a_scheduler_ends_goes_on(ewr, scene, tmp_path, monkeypatch):
+    """SIGTERM is what comes before a job's time is up."""
+    asked, (module, name), unbroken, _ = STUDIES["wear"]
+    scene.write_text(asked)
+    calls, work = [], getattr(module, name)
+
+    def end(*given, **named):
+        calls.append(name)
+        if len(calls) == unbroken // 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return work(*given, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, end)
+        code, told = ewr()
+    assert code == 130 and told.endswith("and the same command goes on from there\n")
+    code, told = ewr()
+    assert code == 0 and "going on with the work" in told
 
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from dataclasses import replace
 
 import h5py
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
 
 from ewr_fenicsx import ReducedModel
-from ewr_fenicsx.errors import EwrError, ModelError, OutputError
+from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
 from ewr_fenicsx.reduced_model import find_rigid_modes, hold
 
 PLAIN = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.eye(2), "normal": [[1.0, 0.0]]}
@@ -161,6 +162,20 @@ def test_a_model_that_cannot_be_saved_says_why(tmp_path):
         model.save(tmp_path / "no" / "folder yet")
     with pytest.raises(OutputError, match=r"deeper.h5 cannot be written: .*; give a place"):
         model.save(tmp_path / "no" / "folder yet" / "model.h5" / "deeper.h5")
+
+
+def test_a_file_for_which_there_is_no_room_leaves_the_one_before(tmp_path):
+    """As on a full disk, where HDF5 itself may bring the process down: it writes in memory alone."""
+    path, usual = tmp_path / "model.h5", resource.getrlimit(resource.RLIMIT_FSIZE)
+    random_structure(size=3).save(path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, usual[1]))
+    try:
+        with pytest.raises(UnwritableFile, match=r"model\.h5 cannot be written: File too large; .* make room$"):
+            random_structure(size=90).save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert ReducedModel.load(path).size == 3
+    assert [file.name for file in tmp_path.iterdir()] == ["model.h5"]
 
 
 def test_a_floating_blade_has_three_rigid_modes():

@@ -16,12 +16,12 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "given", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral", "bonded",
-    "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics", "compliance",
-    "closure", "layout", "contact_problem", "law_derivatives", "elimination", "newton_step", "balance",
-    "stability", "walking", "indicators", "solution", "time_stepping", "periodicity", "time_integration",
-    "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton", "estimates", "accuracy", "cost",
-    "progress", "task_sharing", "whole_files", "solution_store", "following", "refining", "frequency_sweep",
+    "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing",
+    "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics",
+    "compliance", "closure", "layout", "contact_problem", "law_derivatives", "elimination", "newton_step",
+    "balance", "stability", "walking", "indicators", "solution", "time_stepping", "periodicity",
+    "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton", "estimates",
+    "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining", "frequency_sweep",
     "archard", "wear_store", "wear_accuracy", "wear", "scene_errors", "scene_entries", "scene_joint",
     "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes",
     "reduction", "chain", "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output",
