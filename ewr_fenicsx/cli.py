@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     petsc4py.init([sys.argv[0], *petsc_options])  # before anything else imports PETSc
     from mpi4py import MPI
 
+    # in place of PETSc's own, which abort with a page of advice on debugging
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # job schedulers end a run so: the same as Ctrl-C
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # "ewr info SCENE | head" has read enough
     comm = MPI.COMM_WORLD
     return stop_together(comm, lambda: COMMANDS[arguments.command](arguments, comm))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 
@@ -167,6 +168,16 @@ def test_installed_command_prints_one_message_and_exits_with_2(tmp_path):
     assert done.stderr.startswith("ewr: scene scene.toml:")
     assert 'did you mean "title"?' in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_whoever_reads_only_the_first_lines_sees_no_error(tmp_path):
+    (tmp_path / "scene.toml").write_text(write_blocks())
+    command = [sys.executable, "-m", "ewr_fenicsx", "info", "scene.toml"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as info:
+        info.stdout.close()
+        told = info.stderr.read()
+    assert info.returncode == -signal.SIGPIPE
+    assert "Traceback" not in told and "PETSC ERROR" not in told
 
 
 @pytest.mark.parametrize(
