@@ -20,6 +20,7 @@ from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout. A pair
 # that sticks only with a mean creeps by about this share, times rho over the default, which an accuracy raises like N.
 MEAN_FRICTION_REGULARISATION = 1e-6
+HANGING = 1e-4  # the same where a body hangs on friction: its pairs share a load, and less is lost in the tolerance
 
 
 @register_law("tangential", "coulomb")
@@ -46,9 +47,10 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
+        eps = HANGING if group.hangs_on_friction else MEAN_FRICTION_REGULARISATION
         if "second_tangential" in group.weight:
-            return build_in_plane(group, self.friction, self.static_friction, MEAN_FRICTION_REGULARISATION)
-        friction, eps = group.spread(self.friction), MEAN_FRICTION_REGULARISATION
+            return build_in_plane(group, self.friction, self.static_friction, eps)
+        friction = group.spread(self.friction)
         springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
         weights, closing = group.weight["tangential"], group.closing["tangential"]
         laws = []

@@ -12,7 +12,7 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.reduced_model import RealArray
 
-NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-6 or less
+NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-4 or less
 WALKS = (
     "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
     "is periodic; add a support or friction, or take from the load"
