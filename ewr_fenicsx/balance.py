@@ -20,6 +20,10 @@ from ewr_fenicsx.law_kinds import Motion, Response, Signal, Variable
 from ewr_fenicsx.newton_step import NewtonStep
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
+# Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
+# pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
+FIRM = 1e-4
+
 
 class HarmonicBalance:
     """Residual of a contact system as a function of one real vector, scaled to be of order one.
@@ -27,9 +31,10 @@ class HarmonicBalance:
     Args:
         system: The composed system, with at least one row.
         force_unit: Force that counts as one [N]; None: the norm of the full-stick forces.
+        least_share: Least weight of the mean force in its mean equation, where it has any.
     """
 
-    def __init__(self, system: ContactSystem, force_unit: float | None = None):
+    def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):
         self.system = system
         self._force_unit = force_unit
         self._last = None  # the point at which the laws were evaluated last, and what came out
@@ -43,6 +48,8 @@ class HarmonicBalance:
         for law, rows in zip(system.laws, self.law_rows, strict=True):
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
             self.static_displacement_row[rows] = law.static_displacement_row
+        weak = (self.static_force_row > 0) & (self.static_force_row < least_share)
+        self.static_force_row[weak] = least_share
         self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
         if self.basis.has_mean:
             self.unknown[0] = self.static_row > 0
@@ -85,6 +92,12 @@ class HarmonicBalance:
     def force_unit(self) -> float:
         """Force that counts as one [N]: the norm of the full-stick forces where none was given."""
         return self._force_unit or float(np.linalg.norm(self.full_stick[0])) or 1.0
+
+    @cached_property
+    def firm(self) -> HarmonicBalance:
+        """The balance to start with: each mean friction force has the share ``FIRM`` at least in its own equation."""
+        firm = HarmonicBalance(self.system, self.force_unit, FIRM)
+        return self if np.array_equal(firm.static_force_row, self.static_force_row) else firm
 
     @cached_property
     def length_unit(self) -> float:

@@ -19,7 +19,7 @@ from itertools import islice
 
 import numpy as np
 
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -98,7 +98,7 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
 
     def at(logarithm: float) -> HarmonicBalance:
         width = np.exp(np.clip(logarithm, *np.log((1e-3 * SHARP, 1e3 * BLUNT[-1])))) * unit
-        return HarmonicBalance(round_corners(balance.system, width), balance.force_unit)
+        return HarmonicBalance(round_corners(balance.system, width), balance.force_unit, FIRM)
 
     near = [w for w in failed.residual * NEAR_WIDTHS if w < 1.0]
     attempt, steps, width = failed, failed.iterations, np.inf
@@ -148,14 +148,14 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
     def at(share: float) -> HarmonicBalance:
         motion = np.where(oscillates[:, None], share * compliance.free_motion, compliance.free_motion)
         system = replace(balance.system, compliance=replace(compliance, free_motion=motion))
-        return HarmonicBalance(system, balance.force_unit)
+        return HarmonicBalance(system, balance.force_unit, FIRM)
 
     first = at(FIRST_LOAD_SHARE)
     attempt = run_newton(first, first.pack(*first.full_stick), tolerance, "elimination")
     counted = replace(failed, iterations=failed.iterations + attempt.iterations)
     if not attempt.converged:
         return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
-    return follow(at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
+    return follow(balance, at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
 
 
 def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactSystem, found: Attempt) -> Attempt:
@@ -175,21 +175,27 @@ def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactS
             replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
             for other, law in pairs
         )
-        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit)
+        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit, FIRM)
 
     start = replace(found, residual=np.inf, converged=False)
-    return follow(at, 0.0, found.unknowns, tolerance, start, "of the way from the default weights")
+    return follow(balance, at, 0.0, found.unknowns, tolerance, start, "of the way from the default weights")
 
 
 def follow(
-    balance_at: BalanceAt, begin: float, unknowns: RealArray, tolerance: float, failed: Attempt, what: str
+    goal: HarmonicBalance,
+    balance_at: BalanceAt,
+    begin: float,
+    unknowns: RealArray,
+    tolerance: float,
+    failed: Attempt,
+    what: str,
 ) -> Attempt:
-    """Trace a branch by arc length, past folds, from a solution at ``begin`` to a parameter of one.
+    """Trace a branch by arc length, past folds, from a solution at ``begin`` to the goal at a parameter of one.
 
     Returns:
         The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
     """
-    goal, here, steps, reach = balance_at(1.0), BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
+    here, steps, reach = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
     branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
     for _ in range(BRANCH_POINTS):
         if (point := next(branch, None)) is None:

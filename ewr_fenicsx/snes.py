@@ -1,8 +1,8 @@
-"""One Newton run on the weighted residual, through PETSc SNES."""
+"""Newton's method on the weighted residual, through PETSc SNES."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ LinearSolver = Literal["elimination", "dense"]
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 60  # -ewr_snes_max_it
+TAKE_OVER = 1e-7  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SMALLEST_DAMPING = 1e-6  # of a Newton step
 # Close to a solution, below this residual, it must fall below this share of itself over so many steps: runs that creep
 # from kink to kink there end at a corner without a solution. Far off, Newton may creep for long and still arrive.
@@ -53,16 +54,34 @@ def run_newton(
     *,
     near: bool = False,
 ) -> Attempt:
-    """One Newton run through PETSc SNES, options under the prefix ``ewr_``.
+    """Newton's method through PETSc SNES, options under the prefix ``ewr_``: the firm balance first, then the balance.
 
     Args:
         balance: The balance.
         start: Scaled unknowns.
         tolerance: Residual norm accepted.
         linear_solver: As in ``solve``.
-        limit: Newton steps allowed, in place of ``MAX_STEPS``.
+        limit: Newton steps allowed a run, in place of ``MAX_STEPS``.
         near: Whether the start is a neighbour's solution: no step is shortened by a shift.
     """
+    if balance.firm is balance or np.linalg.norm(balance.residual(start)) <= tolerance:
+        return _run_once(balance, start, tolerance, linear_solver, limit, near)
+    firm = _run_once(balance.firm, start, max(tolerance, TAKE_OVER), linear_solver, limit, near)
+    if not firm.converged:
+        return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
+    attempt = _run_once(balance, firm.unknowns, tolerance, linear_solver, limit, near=True)
+    return replace(attempt, iterations=firm.iterations + attempt.iterations)
+
+
+def _run_once(
+    balance: HarmonicBalance,
+    start: RealArray,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int | None,
+    near: bool,
+) -> Attempt:
+    """One run on one balance, as ``run_newton``."""
     if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
         linear_solver = "dense"
     comm = PETSc.COMM_SELF
