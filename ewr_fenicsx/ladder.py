@@ -175,7 +175,7 @@ def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactS
             replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
             for other, law in pairs
         )
-        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit, FIRM)
+        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit)
 
     start = replace(found, residual=np.inf, converged=False)
     return follow(balance, at, 0.0, found.unknowns, tolerance, start, "of the way from the default weights")

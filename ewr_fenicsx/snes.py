@@ -64,13 +64,20 @@ def run_newton(
         limit: Newton steps allowed a run, in place of ``MAX_STEPS``.
         near: Whether the start is a neighbour's solution: no step is shortened by a shift.
     """
-    if balance.firm is balance or np.linalg.norm(balance.residual(start)) <= tolerance:
+    norm = np.linalg.norm(balance.residual(start))
+    if balance.firm is balance or norm <= tolerance:
         return _run_once(balance, start, tolerance, linear_solver, limit, near)
     firm = _run_once(balance.firm, start, max(tolerance, TAKE_OVER), linear_solver, limit, near)
-    if not firm.converged:
+    attempts = []
+    if firm.converged:
+        attempts.append(_run_once(balance, firm.unknowns, tolerance, linear_solver, limit, near=True))
+    # weights far above the defaults put the two balances far apart: then from the start again
+    if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BELOW):
+        attempts.append(_run_once(balance, start, tolerance, linear_solver, limit, near))
+    if not attempts:
         return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
-    attempt = _run_once(balance, firm.unknowns, tolerance, linear_solver, limit, near=True)
-    return replace(attempt, iterations=firm.iterations + attempt.iterations)
+    steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
+    return replace(min(attempts, key=lambda attempt: attempt.residual), iterations=steps)
 
 
 def _run_once(
