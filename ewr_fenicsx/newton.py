@@ -163,8 +163,8 @@ def list_remedies(problem: ContactProblem, residual: float) -> str:
         )
     weights = "the default weights, " if has_own_weights(problem) else ""
     return (
-        f". Try {weights}fewer harmonics, a neighbouring solution as start=, or more damping; integrate(problem) shows "
-        "whether the motion becomes periodic at all"
+        f". Try {weights}fewer harmonics, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
+        "more damping; integrate(problem) shows whether the motion becomes periodic at all"
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import PeriodicSolution, newton, solve, time_integration
+from ewr_fenicsx import PeriodicSolution, newton, snes, solve, time_integration
 from ewr_fenicsx.balance import HarmonicBalance
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -103,6 +103,17 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
     usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
     assert np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid))) > 1e-6
     assert any(rung.startswith("from the default weights") for rung in solution.fallbacks)
+
+
+def test_pairs_about_to_stick_need_no_fallback():
+    """Newton stalls at them with the law's own share of their mean friction; it begins with a larger one."""
+    case = hard_cases.Case("lap joint", 1 / 3, ("reached", 3.0), 1.5, 5, 0.02, "closed", (1, 1))
+    solution = solve(hard_cases.pose_case(case))
+    assert solution.fallbacks == () and solution.residual <= 1e-8
+    balance = HarmonicBalance(solution.problem.system)
+    assert balance.firm is not balance
+    start = balance.pack(*balance.full_stick)
+    assert not snes._run_once(balance, start, 1e-8, "elimination", None, False).converged
 
 
 def test_time_stepping_finds_a_start_that_newton_does_not():
