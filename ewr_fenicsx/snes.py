@@ -120,7 +120,7 @@ def _run_once(
         snes.solve(None, x)
         code, found, steps = snes.getConvergedReason(), x.array.copy(), snes.getIterationNumber()
     finally:
-        for item in (snes, matrix, x, r):
+        for item in (pc, ksp, snes, matrix, x, r):  # with pc or ksp left, the equations stay, with all their factors
             item.destroy()
     residual = float(np.linalg.norm(balance.residual(found)))
     if residual <= tolerance and walks(balance, found):
