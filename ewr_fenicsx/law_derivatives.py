@@ -62,7 +62,7 @@ class ProjectedDerivative:
 
 
 def project_derivatives(
-    derivatives: Sequence[Derivative], basis: FourierBasis, omega: float, static_row: RealArray
+    derivatives: Sequence[Derivative], basis: FourierBasis, omega: float, static_row: RealArray, springs: RealArray
 ) -> list[ProjectedDerivative]:
     """One projected derivative for all by the same forces or motions.
 
@@ -71,6 +71,7 @@ def project_derivatives(
         basis: The harmonics.
         omega: Angular frequency of the first harmonic [rad/s].
         static_row: ``(m,)`` weight of each row's mean equation.
+        springs: ``(m,)`` derivative of each row's mean equation by its own mean motion, besides the law's [N/m].
     """
     sums: dict[tuple[bool, bytes, bytes], ProjectedDerivative] = {}
     for d, matrices in zip(derivatives, _project_products(derivatives, basis), strict=True):
@@ -85,6 +86,9 @@ def project_derivatives(
             sums[same].matrices[:] += matrices
         else:
             sums[same] = ProjectedDerivative(d.rows, d.columns, d.by_force, matrices)
+    for d in sums.values():
+        if basis.has_mean and not d.by_force:
+            d.matrices[:, 0, 0] += springs[d.rows] * (d.rows == d.columns)
     return list(sums.values())
 
 

@@ -37,7 +37,8 @@ class NewtonStep:
     def projected(self) -> list[ProjectedDerivative]:
         """The derivatives projected on the harmonics."""
         balance = self.balance
-        return project_derivatives(self.derivatives, balance.basis, balance.compliance.omega, balance.static_row)
+        static = balance.static_row, balance.static_displacement_row
+        return project_derivatives(self.derivatives, balance.basis, balance.compliance.omega, *static)
 
     @cached_property
     def shift_weight(self) -> RealArray:
@@ -78,8 +79,7 @@ class NewtonStep:
             coefficients[d.rows] += np.matmul(d.matrices, at[:, :, None])[:, :, 0]
         rigid_balance = np.zeros(0)
         if basis.has_mean:
-            springs = balance.static_displacement_row * motion[0].real
-            coefficients[:, 0] += balance.static_force_row * forces[0].real + springs
+            coefficients[:, 0] += balance.static_force_row * forces[0].real
             rigid_balance = balance.compliance.rigid_motion.T @ forces[0].real
         return np.concatenate([coefficients.T[balance.unknown], rigid_balance]) / balance.force_unit
 
@@ -129,8 +129,6 @@ class NewtonStep:
             at, columns, T = place[d.rows[pick]], d.columns[pick], d.matrices[pick]
             if at.size == 0:
                 continue
-            if basis.has_mean and not d.by_force:
-                T[:, 0, 0] += balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
             V, v, g = elimination.follow(d.by_force, columns)
             rows = max(1, BATCH // (n_c * n_c * mixed.size))
             for first in range(0, at.size, rows):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.indicators import (
@@ -110,93 +110,6 @@ def test_what_happens_at_an_instant_does_not_depend_on_how_many_are_asked_for(cl
     np.testing.assert_array_equal(classify_contact(solution, samples), classify_contact(solution, 800)[::every])
     fine = solution.sliding_speed(800)
     np.testing.assert_allclose(solution.sliding_speed(samples), fine[::every], rtol=0, atol=1e-9 * fine.max())
-
-
-@pytest.mark.parametrize(
-    "normal, tangential",
-    [("bonded", "bonded"), ("unilateral", "bonded"), ("bonded", "coulomb"), ("unilateral", "coulomb")],
-)
-@pytest.mark.parametrize(
-    "model", [dovetail(excitation=1.0), lift_off_oscillator(excitation=0.1)], ids=["dovetail", "lift-off"]
-)
-def test_forces_in_bonds_are_those_that_hold_stuck_pairs(normal, tangential, model):
-    """Under small excitation nothing opens or slips: every law combination is the same linear problem.
-
-    Mean friction is not comparable: friction of pairs that stick is indeterminate in the mean, and taken near zero.
-    """
-    frequency = 200.0 if model.size == 26 else 0.1
-    laws = ContactLaws(normal, tangential, friction=5.0)
-    solution = solve(ContactProblem(model, laws, frequency, 3), tolerance=1e-12)
-    bonded = solve(ContactProblem(model, ContactLaws("bonded", "bonded"), frequency, 3))
-    assert (bonded.unknowns, bonded.iterations, bonded.converged) == (0, 0, True)
-    for direction in ("normal", "tangential"):
-        scale = np.abs(bonded.pair_forces["normal"]).max()
-        np.testing.assert_allclose(
-            solution.pair_forces[direction][1:], bonded.pair_forces[direction][1:], atol=1e-8 * scale
-        )
-        if tangential == "bonded":
-            np.testing.assert_allclose(
-                solution.pair_forces[direction][0], bonded.pair_forces[direction][0], atol=1e-8 * scale
-            )
-    np.testing.assert_allclose(
-        solution.output("tip")[1:], bonded.output("tip")[1:], atol=1e-9 * np.abs(bonded.output("tip")[1])
-    )
-    assert bonded.history("normal_force", 64).min() > 0, "else the comparison is void"
-
-
-@pytest.mark.parametrize("laws", [ContactLaws(initial_gap=0.01), ContactLaws("bonded", "bonded")])
-def test_a_static_state_needs_neither_a_frequency_nor_a_word_on_harmonics(laws):
-    """Forces balance, and everything can be read off, at 0 Hz as at any frequency at which nothing oscillates."""
-    model = random_structure()
-    model = replace(model, load={0: -5 * model.normal.sum(axis=0)})  # towards each other
-    static = solve(ContactProblem(model, laws, frequency=0.0))
-    assert static.orders == (0,) and static.merit["J_T"] == 0.0 and "at rest" in static.summary()
-    x = static.coordinates[0].real
-    normal, friction = (static.history(name, 1)[0] for name in ("normal_force", "friction_force"))
-    assert np.abs(normal).max() > 0.1
-    contact = model.normal.T @ normal + model.tangential.T @ friction
-    np.testing.assert_allclose(model.stiffness @ x, model.load[0].real + contact, atol=1e-9)
-    slow = solve(ContactProblem(model, laws, frequency=0.1))
-    np.testing.assert_allclose(slow.coordinates[0], static.coordinates[0], atol=1e-9)
-    accurate = solve_to_accuracy(ContactProblem(model, laws, frequency=0.0), 0.01)
-    assert accurate.reached and len(accurate.levels) == 1
-    np.testing.assert_allclose(accurate.solution.coordinates, static.coordinates, atol=1e-9)
-    shaken = {0: model.load[0], 1: model.load[0]}
-    with pytest.raises(ModelError, match=r"loaded at harmonics \[1\].*give a positive frequency or remove the load"):
-        ContactProblem(model, laws, frequency=0.0, load=shaken)
-
-
-def test_forces_in_bonds_of_bodies_in_space():
-    """Two tangents a pair, both bonded: the bonds' forces, applied to the free structure, move it as the bonded one."""
-    model = replace(random_structure(size=14, pairs=3, tangents=2), load={1: np.arange(14.0)})
-    solution = solve(ContactProblem(model, ContactLaws("bonded", "bonded"), 0.1, 1))
-    x, w = solution.coordinates[1], solution.problem.omega
-    np.testing.assert_allclose(np.vstack([model.normal, model.tangential]) @ x, 0.0, atol=1e-10 * np.abs(x).max())
-    left = model.stiffness @ x + 1j * w * (model.damping @ x) - w**2 * (model.mass @ x) - model.load[1]
-    every = np.linalg.lstsq(np.vstack([model.normal, model.tangential]).T, left, rcond=None)[0]
-    np.testing.assert_allclose(solution.pair_forces["normal"][1], every[:3], rtol=1e-8)
-    np.testing.assert_allclose(solution.pair_forces["tangential"][1], every[3:][::2], rtol=1e-8)
-
-
-def test_prescribed_forces_are_reported():
-    model = random_structure(size=8)
-    force = {0: [3.0, 4.0, 5.0], 1: 1j}
-    solution = solve(ContactProblem(model, ContactLaws("prescribed", "frictionless", normal_force=force), 0.1, 2))
-    np.testing.assert_array_equal(solution.pair_forces["normal"], [[3.0, 4.0, 5.0], [1j, 1j, 1j], [0, 0, 0]])
-    tau = 2 * np.pi * np.arange(32) / 32
-    np.testing.assert_allclose(solution.history("normal_force", 32)[:, 1], 4.0 - np.sin(tau), atol=1e-14)
-    x = np.linalg.solve(model.stiffness, model.normal.T @ force[0])
-    np.testing.assert_allclose(solution.coordinates[0], x, rtol=1e-11)
-
-
-def test_prescribed_forces_outside_the_harmonics_kept_are_reported():
-    """Odd harmonics suffice for a mass that rubs under a constant force: the force is no less there."""
-    laws = ContactLaws("prescribed", normal_force={0: 0.8, 2: 0.1}, friction=0.5)
-    solution = solve(ContactProblem(friction_oscillator(damping=0.1), laws, 0.1, (1, 3, 5)))
-    expected = 0.8 + 0.1 * np.cos(4 * np.pi * np.arange(64) / 64)
-    np.testing.assert_allclose(solution.history("normal_force", 64)[:, 0], expected, atol=1e-14)
-    assert 0 < solution.merit["cone_violation"] < 0.3
-    assert np.any(classify_contact(solution, 64) == SLIP)
 
 
 @pytest.mark.parametrize("which", ["rubbing", "floating"])
