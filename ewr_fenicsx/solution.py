@@ -298,7 +298,7 @@ class PeriodicSolution:
             "viscous_dissipation": dissipated,
             "friction_dissipation": float(rubbed),
             "energy_error": (work - dissipated - float(rubbed)) / scale,
-            "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(count), period))),
+            "J_T": float(np.mean(indicators.measure_sliding(self.sliding_speed(), period))),
             "J_N": float(np.mean(gaps)) if gaps.size else 0.0,
         }
         for name in model.outputs:

@@ -111,6 +111,7 @@ def test_figures_of_the_default_scene(summary, pairs):
     assert merit["friction_dissipation"] > 0
     sliding = pairs["sliding_distance [m/cycle]"]
     assert 1e-6 < sliding.max() < 50e-6, "default loads rub in the range of fretting"
+    assert merit["J_T"] == pytest.approx(sliding.mean(), rel=1e-12)
     assert (pairs["open_share"] > 0).any(), "some pairs lift off"
     assert (pairs["open_share"] < 1).all(), "and none for good"
     shares = pairs["open_share"] + pairs["stick_share"] + pairs["slip_share"]

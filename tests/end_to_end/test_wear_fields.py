@@ -54,7 +54,7 @@ def test_fields_mean_what_they_say(worn):
     _, _, history = worn
     fields = tabulate_wear_fields(history)
     np.testing.assert_array_equal(fields["worn_gap"], history.depth)
-    np.testing.assert_allclose(fields["J_T"][:, 0], history.figure("J_T"), rtol=2e-3)
+    np.testing.assert_allclose(fields["J_T"][:, 0], history.figure("J_T"), rtol=1e-12)
     assert history.depth[-1].min() > 0
     assert np.all(np.diff(history.depth, axis=0) >= 0)
     # Archard with the product of means bounds nothing, but has the size of the wear
