@@ -33,7 +33,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     """By how much a worn depth slows its own growth, ``diag(k_w s) K_c``, ``(K_c, K_c)`` [1/cycle].
 
     ``s`` is the sliding distance a cycle and ``K_c`` the mean contact stiffness, pressure per depth, of the pairs that
-    are ever closed, with floating bodies free to follow.
+    are ever closed, those that do not wear included, with floating bodies free to follow.
 
     Args:
         solution: The state.
@@ -41,7 +41,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     """
     problem, system = solution.problem, solution.problem.system
     touches = solution.history("normal_force", SAMPLES).max(axis=0) > 0
-    pairs = np.flatnonzero(touches & problem.opens & (coefficient > 0))
+    pairs = np.flatnonzero(touches & problem.opens)  # load that leaves worn pairs goes to those that do not wear
     decay = np.zeros((problem.model.pairs,) * 2)
     if not pairs.size or not system.basis.has_mean:
         return decay
@@ -52,7 +52,8 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     stiffness = free @ np.linalg.pinv(free.T @ flexibility @ free, rcond=1e-10, hermitian=True) @ free.T
     sliding = measure_sliding(solution.sliding_speed(SAMPLES)[:, pairs], 1 / problem.frequency)
     weight = coefficient[pairs] * sliding / problem.model.pair_area[pairs]
-    decay[np.ix_(pairs, pairs)] = weight[:, None] * stiffness
+    wears = weight > 0  # the others keep their depth, to the last digit
+    decay[np.ix_(pairs[wears], pairs[wears])] = (weight[:, None] * stiffness)[np.ix_(wears, wears)]
     return decay
 
 

@@ -1,0 +1,34 @@
+"""By how much wear takes the load from what wears, where only some pairs wear or touch: a punch on springs of its own.
+
+With a mean pressure ``p`` given by the load, a pair that alone wears hands its load to the others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_models import winkler_punch
+
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
+from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness
+
+LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
+STEEP = 4e-7  # wear coefficient [1/Pa] by which a cycle wears several times the pressure away
+DECAY = 4 * STEEP * STIFFNESS * SWING  # of a pair's pressure a cycle, where all else stays
+SHARP = 1e-5  # of |v| over a cycle by 1024 samples, relative
+
+
+def punch(gap=0.0) -> ContactProblem:
+    model = winkler_punch(load=LOAD, swing=SWING, stiffness=STIFFNESS, pairs=PAIRS, area=AREA)
+    return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 100.0, harmonics=1)
+
+
+def test_a_pair_beside_others_that_do_not_wear_hands_its_load_to_them_and_wears_no_deeper():
+    """They stand as stiff as before: its pressure falls by 4/5 of its wear, and is gone at 5/4 of the mean indent."""
+    one = STEEP * np.eye(PAIRS)[4]
+    limit = find_explicit_limit(find_wear_stiffness(solve(punch()), one))
+    assert limit == pytest.approx(2 / (0.8 * DECAY), rel=SHARP)
+    assert "more than contact can follow" in evolve_wear(punch(), 50, one).stopped
+    worn = evolve_wear(punch(), 50, one, Tolerance(share=0.01)).depth[-1]
+    assert worn[4] == pytest.approx(1.25 * LOAD / (PAIRS * AREA * STIFFNESS), rel=0.02)
+    np.testing.assert_array_equal(worn[:4], 0.0)
