@@ -32,3 +32,12 @@ def test_a_pair_beside_others_that_do_not_wear_hands_its_load_to_them_and_wears_
     worn = evolve_wear(punch(), 50, one, Tolerance(share=0.01)).depth[-1]
     assert worn[4] == pytest.approx(1.25 * LOAD / (PAIRS * AREA * STIFFNESS), rel=0.02)
     np.testing.assert_array_equal(worn[:4], 0.0)
+
+
+def test_a_load_that_open_pairs_do_not_share_wears_on_and_on():
+    """Four of five never touch, and nothing takes the load from the fifth, whatever a cycle wears."""
+    problem = punch(0.1 * np.array([1.0, 1.0, 0.0, 1.0, 1.0]))
+    assert find_explicit_limit(find_wear_stiffness(solve(problem), np.full(PAIRS, STEEP))) == np.inf
+    history = evolve_wear(problem, 20, STEEP)
+    assert history.stopped is None
+    assert history.depth[-1, 2] == pytest.approx(20 * 4 * STEEP * LOAD / AREA * SWING, rel=SHARP)
