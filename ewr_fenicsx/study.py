@@ -73,7 +73,8 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
     """
     watch, scene = Stopwatch(progress), chain.scene
     if work is not None and can_resume(scene):
-        model = take_up_model(work, chain.reduction.model, chain.mesh.domain.comm)
+        own = "blocks/*.h5" if len(scene.frequencies) > 1 else "wear_*.h5"
+        model = take_up_model(work, chain.reduction.model, chain.mesh.domain.comm, own)
         chain = replace(chain, reduction=replace(chain.reduction, model=model))
     if len(scene.frequencies) > 1:
         return _sweep(chain, watch, work)

@@ -33,14 +33,20 @@ def holds_work(folder: Path, comm: MPI.Comm) -> bool:
     return on_rank_zero(comm, lambda: _holds_work(folder))
 
 
-def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm) -> ReducedModel:
+def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm, own: str) -> ReducedModel:
     """The model that the work in a folder was begun with; where there is none, the work begins with this one.
+
+    Args:
+        folder: The folder.
+        model: That of the scene.
+        comm: Ranks that call.
+        own: Pattern of the files, below the folder, from which this kind of study goes on.
 
     Raises:
         OutputError: On every rank. The folder holds another scene's work, or files that no run wrote; or it cannot be
             made.
     """
-    begun = on_rank_zero(comm, lambda: _take_up(folder, model))
+    begun = on_rank_zero(comm, lambda: _take_up(folder, model, own))
     return model if begun is None else begun
 
 
@@ -88,7 +94,7 @@ def _remove(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _take_up(folder: Path, model: ReducedModel) -> ReducedModel | None:
+def _take_up(folder: Path, model: ReducedModel, own: str) -> ReducedModel | None:
     if not (folder / MODEL).is_file():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise OutputError(f"{folder} is where work in progress goes, and no run wrote it; {_say_remedy(folder)}")
@@ -102,6 +108,8 @@ def _take_up(folder: Path, model: ReducedModel) -> ReducedModel | None:
     if not _is_same(model, begun):
         raise OutputError(f"{folder} holds interrupted work of another model, or by another number of ranks. "
                           f"{_say_remedy(folder)}")  # fmt: skip
+    if _holds_work(folder) and not any(folder.glob(own)):  # at its end, this study would remove it
+        raise OutputError(f"{folder} holds interrupted work of another kind of study. {_say_remedy(folder)}")
     order = {"load": {h: begun.load[h] for h in model.load}, "outputs": {n: begun.outputs[n] for n in model.outputs}}
     return replace(model, **{name: getattr(begun, name) for name in ARRAYS}, **order)
 

@@ -103,6 +103,22 @@ def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, stu
     assert partial.is_dir() and not (tmp_path / "broken").exists()
 
 
+@pytest.mark.parametrize("study, other", [("wear", "sweep"), ("sweep", "wear")])
+def test_work_of_another_kind_of_study_is_refused(ewr, scene, tmp_path, monkeypatch, study, other):
+    """On the same model, which fits: that study would begin anew, and at its end remove what it did not use."""
+    asked, place, unbroken, _ = STUDIES[study]
+    scene.write_text(asked)
+    with monkeypatch.context() as patch:
+        interrupt(patch, place, unbroken // 2)
+        assert ewr()[0] == 130
+    partial = tmp_path / "broken.partial"
+    kept = {path: path.read_bytes() for path in partial.rglob("*.h5")}
+    scene.write_text(STUDIES[other][0])
+    code, told = ewr()
+    assert code == 2 and "interrupted work of another kind of study. Remove the folder" in " ".join(told.split())
+    assert {path: path.read_bytes() for path in partial.rglob("*.h5")} == kept
+
+
 def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
     """A run that has solved everything cannot write its fields; with room, it need not solve anything again."""
     asked, place, _, table = STUDIES["wear"]
