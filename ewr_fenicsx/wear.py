@@ -342,7 +342,8 @@ class _Run:
                 solves += 1
                 if length == 1:
                     state = replace(state, solves=state.solves + solves)
-                    return self._stop(state, f"the joint no longer carries its load: {failure}")
+                    gives_way = "the joint no longer carries its load: " * isinstance(failure, UnheldBody)
+                    return self._stop(state, f"{gives_way}{failure}")
                 length = max(1, length // 4)
         following = 1
         if self.jump:

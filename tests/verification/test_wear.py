@@ -26,7 +26,7 @@ from ewr_fenicsx import (
 )
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.contact_state import STICK, classify_contact
-from ewr_fenicsx.errors import UnheldBody
+from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.following import solve_from
 from ewr_fenicsx.wear_fields import tabulate_wear_fields
@@ -289,21 +289,26 @@ def test_wear_stops_at_a_given_depth():
 
 
 @pytest.mark.parametrize("jump", [None, Tolerance()])
-def test_wear_ends_where_the_joint_no_longer_carries_its_load(monkeypatch, jump):
+@pytest.mark.parametrize(
+    "failure, why",
+    [
+        (UnheldBody("nothing holds a body"), "the joint no longer carries its load: nothing holds a body"),
+        (NotConverged("no periodic solution at 9 Hz"), "no periodic solution at 9 Hz"),
+    ],
+)
+def test_wear_ends_where_there_is_no_solution_and_says_which(monkeypatch, jump, failure, why):
     """Small displacements leave every worn joint an equilibrium, so the solver is made to find none past a depth."""
     from ewr_fenicsx import wear
 
     def give_way(problem, *args, **kwargs):
         if problem.wear.max() > 1e-7:
-            raise UnheldBody("nothing holds a floating body", ())
+            raise failure
         return solve_from(problem, *args, **kwargs)
 
     monkeypatch.setattr(wear, "solve_from", give_way)
     history = evolve_wear(punch(CROWN), 500, COEFFICIENT, jump)
     assert 0.9e-7 < history.depth[-1].max() <= 1e-7 and history.cycles[-1] < 500
-    assert history.stopped == (
-        f"after {history.cycles[-1]} cycles: the joint no longer carries its load: nothing holds a floating body"
-    )
+    assert history.stopped == f"after {history.cycles[-1]} cycles: {why}"
 
 
 def test_wear_goes_on_from_a_worn_joint():
