@@ -342,8 +342,9 @@ class _Run:
                 solves += 1
                 if length == 1:
                     state = replace(state, solves=state.solves + solves)
-                    gives_way = "the joint no longer carries its load: " * isinstance(failure, UnheldBody)
-                    return self._stop(state, f"{gives_way}{failure}")
+                    unheld = isinstance(failure, UnheldBody)
+                    why = f"the joint no longer carries its load: {failure}" if unheld else str(failure)
+                    return self._stop(state, why)
                 length = max(1, length // 4)
         following = 1
         if self.jump:
