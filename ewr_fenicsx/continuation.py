@@ -16,6 +16,7 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.stability import find_side
 
 BalanceAt = Callable[[float], HarmonicBalance]
 
@@ -49,6 +50,7 @@ def trace_branch(
     tolerance: float = 1e-8,
     before: BranchPoint | None = None,
     stray: float = np.inf,
+    oriented: bool = False,
 ) -> Iterator[BranchPoint]:
     """Follow a branch from a converged point, until the consumer stops or a step fails at the smallest size.
 
@@ -64,17 +66,21 @@ def trace_branch(
             changes the parameter alone, which misses the branch where it is close to a fold.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
             corners are turned: non-smooth laws make branches turn back on themselves in a point.
+        oriented: Whether the way on from a corner is told by the Jacobian's determinant, whose sign times that of the
+            parameter's change is the same all along a branch, unless others cross it. If not, every corner leads back:
+            wrong where a step leapt over the corner and landed beyond it.
     """
     here, tangent, turned, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), False, 0
     if before is not None:
         tangent = _point_to(before, start, span)
+    sense = np.sign(tangent[-1]) * find_side(balance_at(start.parameter), start.unknowns) if oriented else 0
     while step >= smallest_step:
         found, taken = _correct(balance_at, here, tangent, step, span, tolerance)
         spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None
         if found is None and 0.5 * step < smallest_step and np.isfinite(stray) and not turned:
-            corner = _turn_corner(balance_at, here, tangent, 4 * smallest_step, span)
+            corner = _turn_corner(balance_at, here, tangent, 4 * smallest_step, span, sense)
             if corner is not None:
                 tangent, step, turned = corner, 200 * smallest_step, True
                 continue
@@ -97,9 +103,12 @@ def _point_to(a: BranchPoint, b: BranchPoint, span: float) -> RealArray:
 
 
 def _turn_corner(
-    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, beyond: float, span: float
+    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, beyond: float, span: float, sense: float
 ) -> RealArray | None:
-    """Where a branch goes from a corner just ahead, if back: the tangent of the smooth piece that begins there."""
+    """Where a branch goes from a corner just ahead: the tangent of the smooth piece that begins there.
+
+    ``sense`` is the sign of the determinant times that of the parameter's change; 0: not known, the branch leads back.
+    """
     z, s = here.unknowns + beyond * tangent[:-1], here.parameter + beyond * tangent[-1] * span
     linear = balance_at(s).linearise(z)
     slope = (balance_at(s + _DERIVATIVE_STEP * span).residual(z) - linear.residual) / _DERIVATIVE_STEP
@@ -107,7 +116,7 @@ def _turn_corner(
         onward = np.append(-linear.solve(slope), 1.0)
     except np.linalg.LinAlgError:
         return None
-    onward *= -np.sign(onward @ tangent) / np.linalg.norm(onward)
+    onward *= (sense * find_side(balance_at(s), z) or -np.sign(onward @ tangent)) / np.linalg.norm(onward)
     return None if onward @ tangent < -1 + 1e-6 else onward  # the way that it came
 
 

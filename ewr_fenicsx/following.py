@@ -30,6 +30,9 @@ TRACED_POINTS = 600
 # Distances of a traced point, in steps, from which it is another branch's. At a sharp corner each may miss the way that
 # another finds: a wide one leaps to a branch near by, a narrow one takes the corner for a dead end.
 STRAYS = (3.0, 2.0, 1.5)
+# Ways to trace: such a distance, and whether the determinant's sign tells where corners lead. It does after a leap over
+# a corner, and it misleads where another branch was crossed.
+WAYS = ((STRAYS[0], True), *((stray, False) for stray in (*STRAYS[1:], STRAYS[0])))
 BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
@@ -183,8 +186,8 @@ class Follower:
 
     def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
         """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there."""
-        for stray in STRAYS:
-            points, why = self._trace_arc(here, before, target, stray)
+        for stray, oriented in WAYS:
+            points, why = self._trace_arc(here, before, target, stray, oriented)
             if not why:
                 return Curve(points)
         # what was traced so far is on no way to the target
@@ -196,7 +199,7 @@ class Follower:
         return Curve([cold], [Jump((here.problem.frequency, target), why)])
 
     def _trace_arc(
-        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float
+        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float, oriented: bool
     ) -> tuple[list[PeriodicSolution], str]:
         """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
         unit = HarmonicBalance(here.problem.system).force_unit
@@ -215,7 +218,15 @@ class Follower:
         point = as_branch_point(here)
         first = 0.05 if last is None else max(1e-6, measure_arc(last, point, span))
         branch = trace_branch(
-            balance_at, point, span, step=first, smallest_step=1e-7, largest_step=0.1, before=last, stray=stray
+            balance_at,
+            point,
+            span,
+            step=first,
+            smallest_step=1e-7,
+            largest_step=0.1,
+            before=last,
+            stray=stray,
+            oriented=oriented,
         )
         for point in branch:
             if not least <= point.parameter <= most:

@@ -154,3 +154,26 @@ def test_a_sweep_that_starts_on_the_lower_branch_stays_on_it():
     curve = frequency_response(model, LAWS, np.linspace(0.172, 0.22, 7), harmonics=9, progress=False)
     exact = FORCE / np.abs(1 - (2 * np.pi * curve.frequencies) ** 2 + 2j * np.pi * curve.frequencies * DAMPING)
     np.testing.assert_allclose(np.abs(curve.output("tip")[:, 1]), exact, rtol=1e-9)
+
+
+def test_two_stops_at_the_same_distance_let_the_curve_end_on_the_lower_branch():
+    """``x'' + c x' + x + k (max(0, x - g) - max(0, -x - g)) = F cos``: both stops are grazed at once.
+
+    A step leaps over the corner at which they are; the curve then went back up the middle branch that it had come from.
+    """
+    c, k, g, force = 0.03, 2.0, 0.5, 0.2
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0, 0.0]),
+        damping=np.diag([c, 0.0, 0.0]),
+        stiffness=[[1.0 + 2 * k, -k, -k], [-k, k, 0.0], [-k, 0.0, k]],
+        normal=[[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
+        load={1: [force, 0.0, 0.0]},
+        outputs={"tip": [1.0, 0.0, 0.0]},
+    )
+    laws = ContactLaws(tangential="frictionless", initial_gap=g)
+    curve = frequency_response(model, laws, np.linspace(0.5, 2.0, 16) / (2 * np.pi), harmonics=5, progress=False)
+    assert curve.jumps == () and curve.missing == ()
+    assert np.count_nonzero(np.diff(np.sign(np.diff(curve.frequencies)))) == 2
+    assert np.count_nonzero(curve.unstable) > 10, "the middle branch"
+    omega = 2 * np.pi * curve.frequencies[-1]
+    assert np.abs(curve.output("tip")[-1, 1]) == pytest.approx(force / np.abs(1 - omega**2 + 1j * c * omega))
