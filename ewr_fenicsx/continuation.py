@@ -8,7 +8,7 @@ Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-6  # relative step in the parameter for the derivative of the residual
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
+_AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,25 @@ def trace_branch(
 def measure_arc(a: BranchPoint, b: BranchPoint, span: float) -> float:
     """Distance of two points with the parameter in units of ``span``."""
     return float(np.hypot(np.linalg.norm(b.unknowns - a.unknowns), (b.parameter - a.parameter) / span))
+
+
+def retraces(points: Sequence[BranchPoint], span: float) -> bool:
+    """Whether the last of a branch's points run along earlier ones in their direction: the branch is a closed curve."""
+    path = np.array([np.append(point.unknowns, point.parameter / span) for point in points])
+    ahead = np.diff(path, axis=0)
+    length = np.linalg.norm(ahead, axis=1)
+    early = max(0, len(ahead) - 2 * _AGAIN)
+    if early == 0 or np.any(length == 0):
+        return False
+    begin, way, most = path[:early], ahead[:early] / length[:early, None], length[:early]
+    for k in range(len(path) - _AGAIN, len(path)):
+        off = path[k] - begin
+        along = np.einsum("ij,ij->i", off, way)
+        aside = np.linalg.norm(off - along[:, None] * way, axis=1)
+        there = (along >= 0) & (along <= most) & (aside <= _ASIDE * np.minimum(most, length[k - 1]))
+        if not np.any(there & (way @ ahead[k - 1] >= _ASKEW * length[k - 1])):
+            return False
+    return True
 
 
 def _point_to(a: BranchPoint, b: BranchPoint, span: float) -> RealArray:

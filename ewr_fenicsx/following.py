@@ -15,7 +15,7 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.continuation import BranchPoint, measure_arc, trace_branch
+from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_branch
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.newton import solve, wrap
 from ewr_fenicsx.reduced_model import ComplexArray
@@ -26,7 +26,7 @@ from ewr_fenicsx.warm_starts import guide
 NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near; up to so many, steps may grow
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
 SMALLEST_STEP = 2e-5  # of the frequency
-TRACED_POINTS = 600
+TRACED_POINTS, LOOKS_BACK = 600, 10  # points; how often it is looked whether they go round in a circle
 # Distances of a traced point, in steps, from which it is another branch's. At a sharp corner each may miss the way that
 # another finds: a wide one leaps to a branch near by, a narrow one takes the corner for a dead end.
 STRAYS = (3.0, 2.0, 1.5)
@@ -228,7 +228,13 @@ class Follower:
             stray=stray,
             oriented=oriented,
         )
+        path = [point]
         for point in branch:
+            path.append(point)
+            if len(path) % LOOKS_BACK == 0 and retraces(path, span):
+                frequencies = [p.parameter for p in path]
+                why = f"the branch is a closed curve between {min(frequencies):g} and {max(frequencies):g} Hz"
+                return points, why
             if not least <= point.parameter <= most:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= TRACED_POINTS:

@@ -13,6 +13,7 @@ from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, following, frequency_response, solve
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.continuation import BranchPoint, retraces
 
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
 LAWS = ContactLaws(tangential="frictionless", initial_gap=GAP)
@@ -177,3 +178,43 @@ def test_two_stops_at_the_same_distance_let_the_curve_end_on_the_lower_branch():
     assert np.count_nonzero(curve.unstable) > 10, "the middle branch"
     omega = 2 * np.pi * curve.frequencies[-1]
     assert np.abs(curve.output("tip")[-1, 1]) == pytest.approx(force / np.abs(1 - omega**2 + 1j * c * omega))
+
+
+def go_round(angles, pitch: float = 0.0) -> list[BranchPoint]:
+    """Points of an ellipse in the parameter and one unknown, ``pitch`` a turn apart in another."""
+    return [BranchPoint(0.02 * np.cos(a), np.array([np.sin(a), pitch * a / (2 * np.pi)]), 1) for a in angles]
+
+
+def test_a_closed_curve_is_told_on_its_second_lap():
+    rng = np.random.default_rng(0)
+    angles = np.cumsum(rng.uniform(0.1, 0.3, 60))
+    laps = angles / (2 * np.pi)
+    told = [retraces(go_round(angles[:n]), 0.05) for n in range(1, 61)]
+    assert not any(told[: np.count_nonzero(laps < 1)])
+    assert any(told[: np.count_nonzero(laps < 1.5)])
+
+
+def test_a_branch_that_comes_close_to_itself_or_turns_back_on_itself_is_not_closed():
+    angles = np.arange(0.0, 20.0, 0.2)
+    there_and_back = [*go_round(angles[:12]), *go_round(angles[11::-1] + 0.05)]
+    for points in (go_round(angles, pitch=0.1), there_and_back):
+        assert not any(retraces(points[:n], 0.05) for n in range(1, len(points) + 1))
+
+
+def test_a_sweep_does_not_go_round_in_circles(monkeypatch):
+    """From an isolated curve no fold leads on: one lap of it, then the sweep starts again and says so."""
+    laps = []
+
+    def go_on_for_ever(balance_at, start, span, **settings):
+        for n in range(1, following.TRACED_POINTS + 2):
+            laps.append(n / 25)
+            a, aside = 2 * np.pi * n / 25, np.zeros(start.unknowns.size)
+            aside[0] = 0.1 * np.sin(a)
+            yield BranchPoint(start.parameter - 0.01 * span * (1 - np.cos(a)), start.unknowns + aside, 1)
+
+    monkeypatch.setattr(following, "trace_branch", go_on_for_ever)
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    curve = frequency_response(model, LAWS, np.linspace(0.14, 0.22, 9), harmonics=5, progress=False)
+    assert "closed curve" in curve.jumps[0].why
+    assert max(laps) < 2
+    assert curve.missing == () and len(curve.solutions) == 9
