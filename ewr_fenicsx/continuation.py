@@ -22,6 +22,7 @@ BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-6  # relative step in the parameter for the derivative of the residual
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
+_AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
 _AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine
 
 
@@ -66,7 +67,8 @@ def trace_branch(
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
-            corners are turned: non-smooth laws make branches turn back on themselves in a point.
+            corners are turned: non-smooth laws make branches turn back on themselves in a point. Long steps across
+            such a corner are halved.
         oriented: Whether the way on from a corner is told by the Jacobian's determinant, whose sign times that of the
             parameter's change is the same all along a branch, unless others cross it. If not, every corner leads back:
             wrong where a step leapt over the corner and landed beyond it.
@@ -76,10 +78,13 @@ def trace_branch(
         tangent = _point_to(before, start, span)
     sense = np.sign(tangent[-1]) * find_side(balance_at(start.parameter), start.unknowns) if oriented else 0
     while step >= smallest_step:
-        found, taken = _correct(balance_at, here, tangent, step, span, tolerance)
+        found, onward, taken = _correct(balance_at, here, tangent, step, span, tolerance)
         spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None
+        if found is not None and np.isfinite(stray) and step > _LEAP and onward is not None:
+            chord = _point_to(here, found, span)
+            found = found if np.sign(onward @ chord) * (onward @ tangent) >= _AROUND else None
         if found is None and 0.5 * step < smallest_step and np.isfinite(stray) and not turned:
             corner = _turn_corner(balance_at, here, tangent, 4 * smallest_step, span, sense)
             if corner is not None:
@@ -142,27 +147,28 @@ def _turn_corner(
 
 def _correct(
     balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, step: float, span: float, tolerance: float
-) -> tuple[BranchPoint | None, int]:
-    """The branch's point a step ahead, or None, and the Newton steps taken."""
+) -> tuple[BranchPoint | None, RealArray | None, int]:
+    """The branch's point a step ahead, or None; its tangent, of either sign, where known; the Newton steps taken."""
     z, s = here.unknowns + step * tangent[:-1], here.parameter + step * tangent[-1] * span
     balance = balance_at(s)
-    norm = np.linalg.norm(balance.residual(z))
+    norm, onward = np.linalg.norm(balance.residual(z)), None
     for taken in range(CORRECTOR_STEPS):
         if norm <= tolerance:
-            return BranchPoint(s, z, taken), taken
+            return BranchPoint(s, z, taken), onward, taken
         linear = balance.linearise(z)
         nudge = _DERIVATIVE_STEP * span
         slope = (balance_at(s + nudge).residual(z) - linear.residual) / _DERIVATIVE_STEP
         try:
             factors = Factorisation(linear, linear.residual)
         except np.linalg.LinAlgError:
-            return None, taken + 1
+            return None, None, taken + 1
         along, across = factors.solution, factors.solve(slope)
         # the point stays in the plane: tangent . (dz, ds) = 0
+        onward = np.append(-across, 1.0) / np.hypot(np.linalg.norm(across), 1.0)
         ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
         dz = -along - ds * across
         if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
-            return None, taken + 1
+            return None, None, taken + 1
         shrink = 1.0
         while True:
             trial = balance_at(s + shrink * ds * span)
@@ -171,6 +177,6 @@ def _correct(
                 break
             shrink *= 0.5
             if shrink < 1e-3:
-                return None, taken + 1
+                return None, None, taken + 1
         z, s, norm, balance = z + shrink * dz, s + shrink * ds * span, new, trial
-    return None, CORRECTOR_STEPS
+    return None, None, CORRECTOR_STEPS

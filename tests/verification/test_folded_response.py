@@ -157,27 +157,38 @@ def test_a_sweep_that_starts_on_the_lower_branch_stays_on_it():
     np.testing.assert_allclose(np.abs(curve.output("tip")[:, 1]), exact, rtol=1e-9)
 
 
-def test_two_stops_at_the_same_distance_let_the_curve_end_on_the_lower_branch():
-    """``x'' + c x' + x + k (max(0, x - g) - max(0, -x - g)) = F cos``: both stops are grazed at once.
-
-    A step leaps over the corner at which they are; the curve then went back up the middle branch that it had come from.
-    """
-    c, k, g, force = 0.03, 2.0, 0.5, 0.2
+def sweep_between_two_stops(harmonics: int):
+    """``x'' + 0.03 x' + x + 2 (max(0, x - 0.5) - max(0, -x - 0.5)) = 0.2 cos``: both stops are grazed at once."""
+    k = 2.0
     model = ReducedModel(
         mass=np.diag([1.0, 0.0, 0.0]),
-        damping=np.diag([c, 0.0, 0.0]),
+        damping=np.diag([0.03, 0.0, 0.0]),
         stiffness=[[1.0 + 2 * k, -k, -k], [-k, k, 0.0], [-k, 0.0, k]],
         normal=[[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]],
-        load={1: [force, 0.0, 0.0]},
+        load={1: [0.2, 0.0, 0.0]},
         outputs={"tip": [1.0, 0.0, 0.0]},
     )
-    laws = ContactLaws(tangential="frictionless", initial_gap=g)
-    curve = frequency_response(model, laws, np.linspace(0.5, 2.0, 16) / (2 * np.pi), harmonics=5, progress=False)
+    laws = ContactLaws(tangential="frictionless", initial_gap=0.5)
+    frequencies = np.linspace(0.5, 2.0, 16) / (2 * np.pi)
+    curve = frequency_response(model, laws, frequencies, harmonics=harmonics, progress=False)
+    return curve, np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+
+
+def test_a_leap_over_a_corner_does_not_lead_back():
+    """The curve went back up the middle branch that it had come from, and ended in a jump."""
+    curve, turns = sweep_between_two_stops(5)
     assert curve.jumps == () and curve.missing == ()
-    assert np.count_nonzero(np.diff(np.sign(np.diff(curve.frequencies)))) == 2
+    assert turns.size == 2
     assert np.count_nonzero(curve.unstable) > 10, "the middle branch"
     omega = 2 * np.pi * curve.frequencies[-1]
-    assert np.abs(curve.output("tip")[-1, 1]) == pytest.approx(force / np.abs(1 - omega**2 + 1j * c * omega))
+    assert np.abs(curve.output("tip")[-1, 1]) == pytest.approx(0.2 / np.abs(1 - omega**2 + 0.03j * omega))
+
+
+def test_corners_are_not_leapt_over_from_afar():
+    """The curve left the middle branch 5 % above its end; below the gap the mass is linear."""
+    curve, turns = sweep_between_two_stops(9)
+    w2 = np.roots([1.0, 0.03**2 - 2.0, 1.0 - (0.2 / 0.5) ** 2]).max()
+    assert curve.frequencies[turns[1]] == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=5e-3)
 
 
 def go_round(angles, pitch: float = 0.0) -> list[BranchPoint]:
