@@ -13,6 +13,7 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.reduced_model import RealArray
 
 NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-4 or less
+UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
     "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
     "is periodic; add a support or friction, or take from the load"
@@ -28,4 +29,5 @@ def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     drawn = balance.compliance.motion(forces[:1], rigid)[0].real
     left_over = balance.static_force_row * forces[0].real + balance.static_displacement_row * drawn  # by the law
     largest = np.abs(balance.basis.synthesise(forces[:, held])).max()
-    return bool(np.abs(left_over[held]).max() > NOTICED * largest)
+    unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
+    return bool(np.abs(left_over[held]).max() > max(NOTICED * largest, unsolved))

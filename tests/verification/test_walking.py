@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -88,6 +89,32 @@ def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(n
     balance = HarmonicBalance(solution.problem.system)
     assert np.any(balance.static_displacement_row > 0) and balance.basis.has_mean
     assert not walks(balance, balance.pack(solution.forces, solution.rigid))
+
+
+def press_ring(twist: float, nodes: int = 12) -> ContactProblem:
+    """A ring of bars spread against a hub that does not move, and turned by ``twist`` of what friction can hold."""
+    angle = 2 * np.pi * np.arange(nodes) / nodes
+    outward, around = np.stack([np.cos(angle), np.sin(angle)], 1), np.stack([-np.sin(angle), np.cos(angle)], 1)
+    stiffness, place = np.zeros((2 * nodes, 2 * nodes)), np.arange(2 * nodes).reshape(nodes, 2)
+    for i, j in combinations(range(nodes), 2):
+        along, bar = outward[j] - outward[i], np.zeros(2 * nodes)
+        bar[place[j]], bar[place[i]] = along, -along
+        stiffness += 1e7 * np.outer(bar, bar)
+    rows = lambda direction: (np.eye(nodes)[:, :, None] * direction[:, None]).reshape(nodes, -1)  # noqa: E731
+    pressure, push = -rows(outward), rows(around).sum(axis=0)  # the hub's nodes rest: q_N = -u.n, q_T = u.t
+    load = {0: -100.0 * pressure.sum(axis=0) + twist * 100.0 * LIMIT * push}
+    mass = np.eye(2 * nodes)
+    model = ReducedModel(mass, 1e-5 * stiffness, stiffness, pressure, rows(around), load)
+    return ContactProblem(model, ContactLaws(friction=LIMIT), frequency=0.0, harmonics=0)
+
+
+@pytest.mark.parametrize("twist", [0.0, 1e-9, 1e-3, 0.9])
+def test_a_ring_that_friction_holds_does_not_walk_however_little_it_has_to_hold(twist):
+    """Without a twist nothing but rounding is left over, and friction forces are nothing but rounding either."""
+    problem = press_ring(twist)
+    solution = solve(problem)
+    assert solution.history("normal_force", 1) == pytest.approx(100.0)
+    assert solution.history("friction_force", 1) == pytest.approx(-twist * 100.0 * LIMIT, abs=1e-6)
 
 
 def test_a_sweep_leaves_out_where_the_body_walks(tmp_path):
