@@ -19,10 +19,10 @@ import scipy.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ewr_fenicsx.elasticity import Structure, body_nodes
+from ewr_fenicsx.elasticity import Structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.modes import Modes, full_stick_modes, is_floating, solve_modes, use_mumps
+from ewr_fenicsx.modes import Modes, find_floating_parts, full_stick_modes, solve_modes, use_mumps
 from ewr_fenicsx.reduced_model import ReducedModel
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
@@ -91,8 +91,10 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
 
     Raises:
         InterfaceError: A pair with both nodes clamped.
-        ModesError: Modes that did not converge; a rigid motion of a body that is not free of elastic forces.
+        ModesError: Modes that did not converge; a part of the mesh that nothing holds; a rigid motion of a body that is
+            not free of elastic forces.
     """
+    find_floating_parts(structure, interface)  # before a singular matrix is factorised
     comm = structure.mass.comm.tompi4py()
     first = structure.mass.getOwnershipRange()[0]
     fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
@@ -303,17 +305,15 @@ def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, float
 def _rigid_motions(
     structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
 ) -> np.ndarray:
-    """Two translations and a rotation of each floating body that has contact nodes, ``(n, r)``, columns of size 1."""
-    comm = structure.mass.comm.tompi4py()
+    """Two translations and a rotation of each part that only contact holds, ``(n, r)``, columns of size 1."""
+    floating, part = find_floating_parts(structure, interface)
     nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
     position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
     place = np.array([position[int(dof) // 2] for dof in contact])
     along_x = contact % 2 == 0
     motions = []
-    for body in structure.mesh.bodies:
-        mine = np.isin(contact // 2, np.concatenate(comm.allgather(body_nodes(structure, body))))
-        if not mine.any() or not is_floating(structure, body):
-            continue
+    for number in floating:
+        mine = part[contact // 2] == number
         offset = place - place[mine].mean(axis=0)
         offset /= np.abs(offset[mine]).max()
         for motion in (along_x, ~along_x, np.where(along_x, -offset[:, 1], offset[:, 0])):
@@ -322,8 +322,8 @@ def _rigid_motions(
     force = np.abs(stiffness @ rigid).max(axis=0, initial=0) / np.abs(stiffness).max()
     if (force > 1e-9).any():
         raise ModesError(
-            f"a rigid motion of a floating body meets elastic forces ({force.max():.2g} of the stiffness): "
-            "do the two bodies share nodes outside the paired flanks?"
+            f"a rigid motion of a floating body meets elastic forces ({force.max():.2g} of the stiffness): is its mesh "
+            "distorted, or so fine that rounding shows?"
         )
     return rigid
 

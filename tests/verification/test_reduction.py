@@ -21,6 +21,7 @@ from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.reduction import keep_more_modes, reduce_structure
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+STACKS = Path(__file__).parents[1] / "geometry" / "stacks.py"
 FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
 FIRST_MODE = 1090.0  # Hz, of the default fir tree in full stick
 
@@ -232,6 +233,30 @@ def test_nothing_clamped_leaves_both_bodies_floating():
     assert reduction.model.rigid_modes.shape[1] == 6
     eigenvalues = reduction.full_stick.frequency**2
     assert (np.abs(eigenvalues[:3]) < 1e-9 * eigenvalues[3]).all()
+
+
+@pytest.mark.parametrize("clamped, floating", [(2, 6), (1, 9)])
+def test_each_piece_that_nothing_clamps_floats_whatever_its_body(clamped, floating):
+    """Two stacks: both blades, one body, float each by itself, and so do a disk and base that are not clamped."""
+    reduction = reduce_structure(*assemble(STACKS, {"stacks": 2, "clamped": clamped}), modes=2)
+    model = reduction.model
+    assert model.rigid_modes.shape[1] == floating
+    force = model.stiffness @ model.rigid_modes
+    assert np.abs(force).max() < 1e-9 * np.abs(model.stiffness).max()
+
+
+def test_bodies_that_share_nodes_are_one_piece():
+    """A disk glued to a base of the same material is the disk in one, though only the base is clamped."""
+    layers, whole = (reduce_structure(*assemble(STACKS, {"base": base}), modes=4) for base in ("base", "disk"))
+    assert layers.model.rigid_modes.shape[1] == 3
+    np.testing.assert_allclose(layers.full_stick.frequency, whole.full_stick.frequency, rtol=1e-9)
+    values = [scipy.linalg.eigvalsh(r.model.stiffness, r.model.mass) for r in (layers, whole)]
+    np.testing.assert_allclose(values[0], values[1], atol=1e-9 * values[1].max())
+
+
+def test_a_piece_that_nothing_holds_is_named():
+    with pytest.raises(ModesError, match='nothing holds "disk", or a piece of it'):
+        reduce_structure(*assemble(STACKS, {"loose": True}), modes=2)
 
 
 @pytest.mark.parametrize("clamp, floating", [(("clamp", "tip"), 0), (("clamp",), 3)])
