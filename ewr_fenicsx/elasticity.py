@@ -145,7 +145,8 @@ def assemble_structure(
         outputs: Displacements to follow.
 
     Raises:
-        MeshError: A mesh that is not plane; a name that is no body or boundary of it; a boundary with no facet.
+        MeshError: A mesh that is not plane; a name that is no body or boundary of it; a boundary with no facet; one of
+            a load or an output that runs through the inside.
         SceneError: A value out of its range, a body without material.
         EwrError: The forms cannot be compiled.
     """
@@ -201,7 +202,7 @@ def assemble_structure(
             )
             for load in loads
         ),
-        {o.name: mean_over_edge(space, boundary_facets(mesh, o.boundary), _unit(o)) for o in outputs},
+        {o.name: mean_over_edge(space, _outer_facets(mesh, o.boundary), _unit(o)) for o in outputs},
         damping.ratio if isinstance(damping, PerMode) else None,
     )
 
@@ -216,6 +217,21 @@ def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
     if mesh.domain.comm.allreduce(len(facets)) == 0:
         raise MeshError(f'boundary "{name}" has no facet; is its curve the edge of a meshed body?')
     return np.unique(facets).astype(np.int32)
+
+
+def _outer_facets(mesh: JointMesh, name: str) -> np.ndarray:
+    """``boundary_facets`` of a boundary that must not run through the inside, where no edge integral sees it."""
+    facets, topology = boundary_facets(mesh, name), mesh.domain.topology
+    topology.create_connectivity(1, 2)
+    owned = facets[facets < topology.index_map(1).size_local]
+    inside = np.setdiff1d(owned, dolfinx.mesh.exterior_facet_indices(topology))
+    counts = [mesh.domain.comm.allreduce(len(f)) for f in (inside, owned)]
+    if counts[0]:
+        raise MeshError(
+            f'boundary "{name}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either side; a load '
+            "or an output needs an edge of the bodies"
+        )
+    return facets
 
 
 def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
@@ -290,7 +306,7 @@ def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: 
 
 def _nodal_forces(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> PETSc.Vec:
     if isinstance(load, EdgeForce):
-        return mean_over_edge(space, boundary_facets(mesh, load.boundary), load.force)
+        return mean_over_edge(space, _outer_facets(mesh, load.boundary), load.force)
     centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
     form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
     forces = _compat.assemble_vector(_compat.compile_form(form, "the centrifugal force"))

@@ -156,6 +156,17 @@ def test_bad_values_are_named(mesh, change, error, words):
 
 
 @pytest.mark.parametrize(
+    "entry",
+    [{"loads": [EdgeForce("pull", "joint", (1.0, 0.0))]}, {"outputs": [OutputSpec("mid", "joint", (1.0, 0.0))]}],
+)
+def test_a_load_or_output_inside_a_body_is_refused(entry):
+    """The joint of welded blocks has cells on either side, and no edge integral sees it."""
+    welded = build_mesh(TWO_BLOCKS, {"welded": True, "columns": 4}, MPI.COMM_WORLD)
+    with pytest.raises(MeshError, match='boundary "joint": 4 of its 4 facets lie inside'):
+        assemble_structure(welded, materials=BOTH, **entry)
+
+
+@pytest.mark.parametrize(
     "make, words",
     [
         (lambda: Material(-1.0, 0.3, 1.0), "young is -1.0"),
