@@ -145,8 +145,8 @@ def assemble_structure(
         outputs: Displacements to follow.
 
     Raises:
-        MeshError: A mesh that is not plane; a name that is no body or boundary of it; a boundary with no facet; one of
-            a load or an output that runs through the inside.
+        MeshError: A mesh that is not plane, or whose cells are of a higher order than the elements; a name that is no
+            body or boundary of it; a boundary with no facet; one of a load or an output that runs through the inside.
         SceneError: A value out of its range, a body without material.
         EwrError: The forms cannot be compiled.
     """
@@ -156,6 +156,11 @@ def assemble_structure(
         raise SceneError(f'plane is "{plane}"; give "stress" or "strain"{nearest(plane, ("stress", "strain"))}')
     if degree not in (1, 2):
         raise SceneError(f"degree is {degree}; give 1 or 2")
+    if (order := mesh.domain.geometry.cmap.degree) > degree:
+        raise MeshError(
+            f"the mesh has cells of order {order} and the elements are of degree {degree}: where cells are curved, "
+            f"turning a body would take forces; give elasticity.degree = {order}, or a mesh of order {degree}"
+        )
     if not thickness > 0:
         raise SceneError(f"thickness is {thickness} m; give a positive number")
     for body in materials:

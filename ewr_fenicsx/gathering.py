@@ -45,17 +45,24 @@ class Cells:
         return np.stack([moved, np.roll(moved, -1, axis=1)], axis=2).reshape(-1, 2, 2)[first[count == 1]]
 
 
-def vertex_interpolation(space, shape: tuple[int, ...] = ()) -> Callable[[dolfinx.fem.Function], dolfinx.fem.Function]:
-    """Returns a function that takes fields of ``space`` to degree 1: the values at the mesh's vertices."""
-    if _compat.element_degree(space) == 1:
+def vertex_interpolation(
+    space, shape: tuple[int, ...] = (), degree: int = 1
+) -> Callable[[dolfinx.fem.Function], dolfinx.fem.Function]:
+    """Returns a function that takes fields of ``space`` to a degree; to 1: the values at the mesh's vertices."""
+    if _compat.element_degree(space) == degree:
         return lambda field: field
-    vertices = dolfinx.fem.Function(_compat.function_space(space.mesh, "Lagrange", 1, shape))
+    vertices = dolfinx.fem.Function(_compat.function_space(space.mesh, "Lagrange", degree, shape))
 
     def interpolate(field: dolfinx.fem.Function) -> dolfinx.fem.Function:
         vertices.interpolate(field)
         return vertices
 
     return interpolate
+
+
+def node_interpolation(space, shape: tuple[int, ...] = ()) -> Callable[[dolfinx.fem.Function], dolfinx.fem.Function]:
+    """The same to the degree of the mesh's cells: the values at its nodes, which files hold."""
+    return vertex_interpolation(space, shape, space.mesh.geometry.cmap.degree)
 
 
 def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cells | None:

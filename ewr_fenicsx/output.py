@@ -1,6 +1,6 @@
 """Result folders: fields for ParaView, the reduced model, a table of the pairs, and how all of it came about.
 
-Fields are XDMF time series over one period, one field a file, degree 1, which ParaView animates.
+Fields are XDMF time series over one period, one field a file, at the nodes of the mesh, which ParaView animates.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from ewr_fenicsx import _compat, plots
 from ewr_fenicsx.chain import JIT, Chain, add_times
 from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
-from ewr_fenicsx.gathering import vertex_interpolation
+from ewr_fenicsx.gathering import node_interpolation
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.reduced_model import RealArray
@@ -124,8 +124,8 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
     times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
     coordinates = (phase @ solution.coordinates).real
-    to_vertices = vertex_interpolation(chain.structure.space, (2,))
-    frames = (to_vertices(chain.reduction.expand(x)) for x in coordinates)
+    to_nodes = node_interpolation(chain.structure.space, (2,))
+    frames = (to_nodes(chain.reduction.expand(x)) for x in coordinates)
     write_series(folder / "displacement.xdmf", domain, times, frames)
     for name, values in contact_fields(interface, solution, steps).items():
         spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)
@@ -172,11 +172,11 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[Rea
     component, parents = space.sub(0).collapse()
     pairs = find_pairs(space, interface.nodes_a, interface.nodes_b)[np.asarray(parents) // space.dofmap.bs]
     field = dolfinx.fem.Function(component)
-    to_vertices = vertex_interpolation(component)
+    to_nodes = node_interpolation(component)
 
     def spread(values: RealArray) -> dolfinx.fem.Function:
         field.x.array[:] = np.where(pairs >= 0, values[pairs], elsewhere)
-        return to_vertices(field)
+        return to_nodes(field)
 
     return spread
 
@@ -308,7 +308,7 @@ def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDM
 def write_series(
     path: Path, domain: dolfinx.mesh.Mesh, times: RealArray, fields: Iterable[dolfinx.fem.Function]
 ) -> None:
-    """Writes fields of degree 1 on ``domain``, named like their file; collective."""
+    """Writes fields of the degree of ``domain``, named like their file; collective."""
     with _open_xdmf(path, domain) as file:
         for instant, field in zip(times, fields, strict=True):
             field.name = path.stem

@@ -14,7 +14,7 @@ import numpy as np
 
 from ewr_fenicsx.archard import SAMPLES
 from ewr_fenicsx.chain import Chain
-from ewr_fenicsx.gathering import vertex_interpolation
+from ewr_fenicsx.gathering import node_interpolation
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.output import find_pairs, spread_over_interface, write_series
 from ewr_fenicsx.reduced_model import RealArray
@@ -66,11 +66,11 @@ def recede_flanks(chain: Chain) -> Callable[[RealArray], dolfinx.fem.Function]:
     space, interface = chain.structure.space, chain.interface
     pairs = find_pairs(space, interface.nodes_a)
     field = dolfinx.fem.Function(space)
-    to_vertices = vertex_interpolation(space, (2,))
+    to_nodes = node_interpolation(space, (2,))
 
     def recede(depth: RealArray) -> dolfinx.fem.Function:
         inward = -interface.normal * depth[:, None]
         field.x.array.reshape(-1, 2)[:] = np.where(pairs[:, None] >= 0, inward[pairs], 0.0)
-        return to_vertices(field)
+        return to_nodes(field)
 
     return recede

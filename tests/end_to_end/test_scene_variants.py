@@ -89,6 +89,30 @@ def test_mesh_file_gives_the_result_of_its_builder(run, tmp_path):
     assert tip_amplitude(read) == pytest.approx(tip_amplitude(built), rel=1e-8)
 
 
+def test_a_mesh_of_second_order_has_values_at_all_its_nodes(run, tmp_path, capsys):
+    """What contact does at the nodes between the corners is in the files: every node of the joint is pressed."""
+    source = tmp_path / "quadratic.py"
+    source.write_text(
+        BLOCKS.read_text().replace("mesh.generate(2)", "mesh.generate(2)\n    gmsh.model.mesh.setOrder(2)")
+    )
+    bonded = "[elasticity]\ndegree = 2\n[contact]\nnormal = 'bonded'\ntangential = 'bonded'"
+    straight, _ = run(bonded)
+    summary, _ = run(bonded, source)
+    assert tip_amplitude(summary) == pytest.approx(tip_amplitude(straight), rel=1e-8)
+    with h5py.File(tmp_path / "results" / "contact_pressure.h5") as file:
+        place, pressure = file["Mesh/mesh/geometry"][:], file["Function/contact_pressure/0"][:, 0]
+    joint = np.isclose(place[:, 1], 0.03)
+    assert joint.sum() == 2 * summary["model"]["pairs"] == 2 * 13
+    table = list(csv.DictReader((tmp_path / "results" / "pairs.csv").open()))
+    x, area = (np.array([float(row[name]) for row in table]) for name in ("x [m]", "area [m^2]"))
+    at_pair = np.interp(x, *(values[joint][np.argsort(place[joint, 0])][::2] for values in (place[:, 0], pressure)))
+    assert (at_pair * area).sum() == pytest.approx(1000.0, rel=1e-6), "bonds carry the load"
+
+    (tmp_path / "linear.toml").write_text(write_blocks(source=source))
+    assert main(["info", str(tmp_path / "linear.toml")]) == 2
+    assert "cells of order 2 and the elements are of degree 1" in capsys.readouterr().err
+
+
 def test_dovetail_knows_nothing_of_fir_trees(tmp_path):
     text = (
         (ROOT / "demos" / "blade_root.toml")
