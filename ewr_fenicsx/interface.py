@@ -20,7 +20,7 @@ from ewr_fenicsx.errors import InterfaceError, nearest
 
 @dataclass(frozen=True)
 class Interface:
-    """Pairs of nodes, ordered by flank and then along the flank's tangent.
+    """Pairs of nodes, ordered by flank and then along the flank's tangent, wherever that turns.
 
     Attributes:
         flanks: Names.
@@ -166,8 +166,7 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
             f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; '
             "give both curves the same transfinite count"
         )
-    mean = a.normal.mean(axis=0)
-    order = np.argsort(a.position @ np.array([-mean[1], mean[0]]), kind="stable")
+    order = _follow_tangent(a)
     length = np.linalg.norm(np.ptp(a.position, axis=0))
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
@@ -182,6 +181,23 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
         _Side(a.nodes[order], a.position[order], a.normal[order], a.area[order]),
         _Side(b.nodes[partner], b.position[partner], b.normal[partner], b.area[partner]),
     )
+
+
+def _follow_tangent(side: _Side) -> np.ndarray:
+    """Nodes of a side one after the other along its tangent, wherever that turns, as round a bore."""
+    mean = side.normal.mean(axis=0)
+    if np.linalg.norm(mean) < 1e-6:  # a closed curve, or opposite faces: begin at the lowest node
+        mean = np.array([1.0, 0.0])
+    along = side.position @ np.array([-mean[1], mean[0]])
+    first = np.lexsort([side.position[:, 0], np.round(along / np.ptp(side.position, axis=0).max(), 9)])[0]
+    order, left = [first], np.delete(np.arange(len(along)), first)
+    while len(left):
+        step = side.position[left] - side.position[order[-1]]
+        x, y = side.normal[order[-1]]
+        nearest_ahead = np.argmin(2 * np.linalg.norm(step, axis=1) - step @ np.array([-y, x]))
+        order.append(left[nearest_ahead])
+        left = np.delete(left, nearest_ahead)
+    return np.array(order)
 
 
 def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:

@@ -17,6 +17,7 @@ from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
 FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
 ANGLE = 25.0
 NORMAL = np.array([np.sin(np.radians(ANGLE)), -np.cos(np.radians(ANGLE))])  # out of the blade, into the disk
@@ -58,6 +59,15 @@ def test_pairs_follow_the_tangent_and_join_coincident_nodes_of_two_bodies(joint)
     np.testing.assert_allclose(steps, 0.04 / (len(interface.area) - 1), rtol=1e-9)
     assert np.isin(interface.nodes_a, body_nodes(structure, "blade")).all()
     assert np.isin(interface.nodes_b, body_nodes(structure, "disk")).all()
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_pairs_follow_a_tangent_that_turns_all_the_way_round(degree):
+    interface = pair_interface(assemble(BUSH, degree))
+    angle = np.degrees(np.unwrap(np.arctan2(*interface.position.T[::-1])))
+    np.testing.assert_allclose(np.diff(angle), 360 / (16 * degree), rtol=0.02)
+    outward = interface.position / np.linalg.norm(interface.position, axis=1, keepdims=True)
+    np.testing.assert_allclose(interface.normal, outward, atol=1e-7)
 
 
 def test_areas_are_integrals_of_the_shape_functions(joint):
