@@ -39,6 +39,7 @@ _CORNERS = {
     "tetrahedron": ([(1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)], math.sqrt(2) / 2),
     "hexahedron": ([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)], 1.0),
 }
+_COMPLETE = (2, 3, 4, 5, 9, 10, 11, 12)  # numbers of these in gmsh, of first order and with all nodes of second order
 _CELL_NAMES = {(2, 3): "triangle", (2, 4): "quadrilateral", (3, 4): "tetrahedron", (3, 8): "hexahedron"}
 
 
@@ -323,6 +324,11 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
     kind, (label, _, _, nodes, _, corners) = next(iter(described.items()))
     if (dimension, corners) not in _CELL_NAMES:
         raise MeshError(f"{source}: cells are of type {label}; expected one of {', '.join(_CORNERS)}")
+    if kind not in _COMPLETE:
+        raise MeshError(
+            f"{source}: cells are of type {label}; expected first order, or complete second order: "
+            "Mesh.ElementOrder 1 or 2, Mesh.SecondOrderIncomplete 0"
+        )
     return kind, nodes, corners
 
 

@@ -176,6 +176,15 @@ def test_an_endless_mesh_is_refused_before_it_is_made(monkeypatch):
     assert gmsh.model.mesh.generate is generate
 
 
+@pytest.mark.parametrize("triangles", [False, True])
+def test_complete_cells_of_second_order_are_welcome(squares, tmp_path, triangles):
+    path = squares(after="gmsh.model.mesh.setOrder(2)")
+    if triangles:
+        path = tmp_path / "triangles.py"
+        path.write_text(TRIANGLES.format(recombined=()) + "    gmsh.model.mesh.setOrder(2)\n")
+    assert build(path).domain.geometry.cmap.degree == 2
+
+
 def test_mixed_cell_types_are_refused_before_dolfinx_crashes(tmp_path):
     path = tmp_path / "mixed.py"
     path.write_text(TRIANGLES.format(recombined=("b",)))
@@ -239,6 +248,12 @@ def test_wrong_parameters_are_named(squares, parameters, words):
             "pass",
             r"squares\.py: width = -1: expected a pos",
         ),
+        (
+            "pass",
+            "gmsh.option.setNumber('Mesh.SecondOrderIncomplete', 1)\ngmsh.model.mesh.setOrder(2)",
+            "cells are of type Quadrilateral 8; expected first order, or complete second order",
+        ),
+        ("pass", "gmsh.model.mesh.setOrder(3)", "cells are of type Quadrilateral 16; expected first order"),
         ("nonsense", "pass", r"squares\.py: NameError: name 'nonsense' is not defined"),
         ("gmsh.model.getEntitiesForPhysicalGroup(2, 99)", "pass", r"squares\.py: Exception: "),
     ],
