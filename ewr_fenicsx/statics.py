@@ -62,9 +62,9 @@ def find_holding(
         worst = [int(k) for k in np.argsort(-opening)[:3] if opening[k] > 0]
         opens = f"pairs {', '.join(map(str, worst))} most" if worst else "no pair"
         raise UnheldBody(
-            f"nothing holds a floating body: {rest:.0%} of the mean load stays unbalanced whatever the contact forces; "
-            f"it drives a rigid motion that opens {opens}; turn the load round, raise the friction or the prescribed "
-            "normal force, or support the body",
+            f"nothing holds a floating body: {100 * rest:.3g}% of the mean load stays unbalanced whatever the contact "
+            f"forces; it drives a rigid motion that opens {opens}; turn the load round, raise the friction or the "
+            "prescribed normal force, or support the body",
             worst,
         )
     return "friction"

@@ -10,7 +10,7 @@ import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, integrate, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.walking import NOTICED, walks
 
 LIMIT = 0.3
@@ -89,6 +89,11 @@ def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(n
     balance = HarmonicBalance(solution.problem.system)
     assert np.any(balance.static_displacement_row > 0) and balance.basis.has_mean
     assert not walks(balance, balance.pack(solution.forces, solution.rigid))
+
+
+def test_how_much_is_too_much_is_told_however_little():
+    with pytest.raises(UnheldBody, match=r"body: 0\.01% of the mean load stays unbalanced"):
+        solve(sled({0: LIMIT / (1 - 1e-4)}))
 
 
 def press_ring(twist: float, nodes: int = 12) -> ContactProblem:
