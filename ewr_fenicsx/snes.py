@@ -18,12 +18,13 @@ LinearSolver = Literal["elimination", "dense"]
 # Added to the contact rows' diagonal from a start far from any solution, times the residual over the first one, while
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
-MAX_STEPS = 60  # -ewr_snes_max_it
+MAX_STEPS = 150  # -ewr_snes_max_it
 TAKE_OVER = 1e-7  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SMALLEST_DAMPING = 1e-6  # of a Newton step
-# Close to a solution, below this residual, it must fall below this share of itself over so many steps: runs that creep
-# from kink to kink there end at a corner without a solution. Far off, Newton may creep for long and still arrive.
-STALL_BELOW, STALL_STEPS, STALL_SHARE = 3e-3, 5, 0.8
+# Between these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
+# there end at a corner without a solution. Far off, Newton may creep for long and still arrive; so it may where next to
+# nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
+STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (3e-5, 3e-3), 5, 0.8
 # Dense factors of so many unknowns precondition GMRES at later steps, for few samples change status in between: how
 # exact a step must be far from the solution and close to it, and in how many iterations, else there are new factors.
 REUSE_FROM, REUSE_ITERATIONS = 500, 10
@@ -72,7 +73,7 @@ def run_newton(
     if firm.converged:
         attempts.append(_run_once(balance, firm.unknowns, tolerance, linear_solver, limit, near=True))
     # weights far above the defaults put the two balances far apart: then from the start again
-    if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BELOW):
+    if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BETWEEN[1]):
         attempts.append(_run_once(balance, start, tolerance, linear_solver, limit, near))
     if not attempts:
         return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
@@ -167,7 +168,8 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.CONVERGED_FNORM_ABS)
             if taken == limit:
                 return snes.setConvergedReason(reason.DIVERGED_MAX_IT)
-            if norm < STALL_BELOW and taken >= STALL_STEPS and norm > STALL_SHARE * norms[-1 - STALL_STEPS]:
+            low, high = STALL_BETWEEN
+            if low < norm < high and taken >= STALL_STEPS and norm > STALL_SHARE * norms[-1 - STALL_STEPS]:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
