@@ -12,6 +12,7 @@ import numpy as np
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
+    RATE,
     ErrorEstimate,
     Figure,
     choose_harmonics,
@@ -28,7 +29,6 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 
 FIRST_ORDER = 3  # highest harmonic of the first solve
-RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with

@@ -34,6 +34,7 @@ LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
+RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
 SURE = (0.2, 4.0)  # one step's estimate over the accuracy, outside of which no second one is needed
 
 
@@ -182,14 +183,18 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
     One Newton step tells where it is far from the accuracy. Where it is near, a second one on the same problem follows:
-    it is mostly closer to the true error, and half of what it changed is added for what further steps would.
+    it is mostly closer to the true error, and half of what it changed is added for what further steps would. The steps
+    reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is returned.
     """
-    ahead = look_ahead(solution)
-    first = measure_step(solution, ahead, figure)
+    ahead, problem = look_ahead(solution), solution.problem
+    if ahead is None:
+        return np.inf
+    seen = 1 - (problem.basis.orders[-1] / raise_harmonics(problem).basis.orders[-1]) ** RATE
+    first = measure_step(solution, ahead, figure) / seen
     low, high = SURE
     if not low * accuracy < first < high * accuracy:
         return first
-    second = measure_step(solution, take_step(ahead, ahead.problem), figure)
+    second = measure_step(solution, take_step(ahead, ahead.problem), figure) / seen
     return second + abs(second - first) / 2
 
 
