@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from inspect import signature
 
 from ewr_fenicsx.accuracy import FIRST_ORDER, AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.archard import measure_wear_rate
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -27,6 +28,9 @@ class AccurateWear:
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
         accuracy, tolerance: As in ``solve_to_accuracy``.
         choice: Further arguments of ``solve_to_accuracy``: modes, what limits them, highest harmonic.
+
+    Raises:
+        ModelError: There is no such argument, or wear chooses it by itself.
     """
 
     def __init__(
@@ -39,6 +43,10 @@ class AccurateWear:
     ):
         self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
         self.choice = dict(choice)
+        known = [name for name, at in signature(solve_to_accuracy).parameters.items() if at.kind is at.KEYWORD_ONLY]
+        free = [name for name in known if name not in ("first", "figure")]  # wear chooses these by itself
+        for name in set(self.choice) - set(free):
+            raise ModelError(f"{name}: no argument of evolve_wear; choose of {', '.join(free)}{nearest(name, free)}")
 
     def begin(self, depth: RealArray) -> WearStep:
         """The first step, with as many harmonics as it takes.

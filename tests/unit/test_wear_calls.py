@@ -100,5 +100,9 @@ def test_what_an_accuracy_of_wear_cannot_mean():
         evolve_wear(pose(), 5, WEAR, accuracy=2.0)
     with pytest.raises(ModelError, match="modes: only where an accuracy is asked for"):
         evolve_wear(pose(), 5, WEAR, modes=[0])
+    with pytest.raises(ModelError, match=r'higest: no argument of evolve_wear; .* did you mean "highest"'):
+        evolve_wear(pose(), 5, WEAR, accuracy=0.1, higest=9)
+    with pytest.raises(ModelError, match="figure: no argument of evolve_wear"):
+        evolve_wear(pose(), 5, WEAR, accuracy=0.1, figure=print)
     with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, file="wear.h5", more_modes=print)
