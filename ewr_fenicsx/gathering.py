@@ -1,4 +1,4 @@
-"""Meshes and fields gathered on rank 0 for drawing, and taken to the vertices for writing."""
+"""Meshes and fields gathered on rank 0 for drawing, and taken to vertices or nodes for writing."""
 
 from __future__ import annotations
 
@@ -45,24 +45,29 @@ class Cells:
         return np.stack([moved, np.roll(moved, -1, axis=1)], axis=2).reshape(-1, 2, 2)[first[count == 1]]
 
 
-def vertex_interpolation(
-    space, shape: tuple[int, ...] = (), degree: int = 1
-) -> Callable[[dolfinx.fem.Function], dolfinx.fem.Function]:
-    """Returns a function that takes fields of ``space`` to a degree; to 1: the values at the mesh's vertices."""
+Interpolation = Callable[[dolfinx.fem.Function], dolfinx.fem.Function]
+
+
+def vertex_interpolation(space, shape: tuple[int, ...] = ()) -> Interpolation:
+    """Returns a function that takes fields of ``space`` to the mesh's vertices, which pictures show."""
+    return _interpolation(space, shape, 1)
+
+
+def node_interpolation(space, shape: tuple[int, ...] = ()) -> Interpolation:
+    """Returns a function that takes fields of ``space`` to all nodes of the mesh's cells, which files hold."""
+    return _interpolation(space, shape, space.mesh.geometry.cmap.degree)
+
+
+def _interpolation(space, shape: tuple[int, ...], degree: int) -> Interpolation:
     if _compat.element_degree(space) == degree:
         return lambda field: field
-    vertices = dolfinx.fem.Function(_compat.function_space(space.mesh, "Lagrange", degree, shape))
+    taken = dolfinx.fem.Function(_compat.function_space(space.mesh, "Lagrange", degree, shape))
 
     def interpolate(field: dolfinx.fem.Function) -> dolfinx.fem.Function:
-        vertices.interpolate(field)
-        return vertices
+        taken.interpolate(field)
+        return taken
 
     return interpolate
-
-
-def node_interpolation(space, shape: tuple[int, ...] = ()) -> Callable[[dolfinx.fem.Function], dolfinx.fem.Function]:
-    """The same to the degree of the mesh's cells: the values at its nodes, which files hold."""
-    return vertex_interpolation(space, shape, space.mesh.geometry.cmap.degree)
 
 
 def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cells | None:
