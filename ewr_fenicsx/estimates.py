@@ -189,7 +189,7 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
     ahead, problem = look_ahead(solution), solution.problem
     if ahead is None:
         return np.inf
-    seen = 1 - (problem.basis.orders[-1] / raise_harmonics(problem).basis.orders[-1]) ** RATE
+    seen = 1 - (problem.basis.orders[-1] / max(1, raise_harmonics(problem).basis.orders[-1])) ** RATE
     first = measure_step(solution, ahead, figure) / seen
     low, high = SURE
     if not low * accuracy < first < high * accuracy:

@@ -24,7 +24,7 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 # Between these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
 # there end at a corner without a solution. Far off, Newton may creep for long and still arrive; so it may where next to
 # nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
-STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (3e-5, 3e-3), 5, 0.8
+STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
 # Dense factors of so many unknowns precondition GMRES at later steps, for few samples change status in between: how
 # exact a step must be far from the solution and close to it, and in how many iterations, else there are new factors.
 REUSE_FROM, REUSE_ITERATIONS = 500, 10

@@ -106,14 +106,15 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
 
 
 def test_pairs_about_to_stick_need_no_fallback():
-    """Newton stalls at them with the law's own share of their mean friction; it begins with a larger one."""
+    """With the law's own share of their mean friction Newton creeps past them; it begins with a larger one."""
     case = hard_cases.Case("lap joint", 1 / 3, ("reached", 3.0), 1.5, 5, 0.02, "closed", (1, 1))
     solution = solve(hard_cases.pose_case(case))
     assert solution.fallbacks == () and solution.residual <= 1e-8
     balance = HarmonicBalance(solution.problem.system)
     assert balance.firm is not balance
     start = balance.pack(*balance.full_stick)
-    assert not snes._run_once(balance, start, 1e-8, "elimination", None, False).converged
+    by_itself = snes._run_once(balance, start, 1e-8, "elimination", None, False)
+    assert solution.iterations <= 20 and by_itself.iterations > 3 * solution.iterations
 
 
 def test_time_stepping_finds_a_start_that_newton_does_not():
@@ -137,11 +138,11 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so():
 
 
 def test_rounded_corners_are_begun_where_newton_stalled():
-    """One pair of seven grazes: Newton stalls close to the solution, at a corner, and gives up soon."""
+    """One pair of seven grazes: Newton ends close to the solution, at a corner, in few steps."""
     case = hard_cases.Case("lap joint", 1 / 3, ("applied", 0.03), 1.0, 5, 1e-4, "random", (1, 1))
     solution = solve(hard_cases.pose_case(case))
     ways = dict(rung.split(": ", 1) for rung in solution.fallbacks)
-    assert ways["growing harmonics"] == "the residual fell no further"
+    assert ways["growing harmonics"] == "the line search found no decrease"
     assert ways["time stepping"] == "not needed: what was found is close"
     assert ways["rounded corners"].endswith("residual below the tolerance")
     assert solution.iterations <= 80
