@@ -26,9 +26,9 @@ or `solve_to_accuracy(problem, 0.01)`.
 
 **A single solution.** The solver starts with harmonics up to 3 and estimates the error by single Newton steps on
 neighbouring problems: with more harmonics and more samples, with another friction weight, with fewer modes. It raises
-the knob that dominates, and starts the next solve at the last solution. Where the change from one solve to the next
-already exceeds the accuracy, no such step is needed; where the step moves the outputs by about as much as is asked, a
-second one sharpens the estimate. The estimate comes with the result, and so does the reason where the accuracy was
+the knob that dominates, and starts the next solve at the last solution. From the second set of harmonics on springs
+close the truncation of friction where joints are elastic (`docs/method.md`), which takes fewer harmonics than dashpots.
+A second Newton step sharpens the estimate, unless the first one tells of far more than is asked. The estimate comes with the result, and so does the reason where the accuracy was
 not reached. It covers the outputs at the given frequency, as far as contact solve and modes decide on them. It knows
 nothing of the mesh's error.
 
@@ -105,7 +105,7 @@ Highest harmonic, with the default weights and samples:
 
 {orders}
 
-The same with `rho_T` as the mobility at the first harmonics left out, as `solve_to_accuracy` sets it:
+The same with `rho_T` as the mobility at the first harmonics left out, as `solve_to_accuracy` sets it for dashpots:
 
 {mobility}
 

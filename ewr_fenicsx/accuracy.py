@@ -21,6 +21,7 @@ from ewr_fenicsx.estimates import (
     estimate_samples,
     estimate_together,
     estimate_weight,
+    holds_springs,
     match_mobility,
     measure_distance,
 )
@@ -28,7 +29,7 @@ from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 
-FIRST_ORDER = 3  # highest harmonic of the first solve
+FIRST_ORDER = 3  # highest harmonic of the first solve, and of any with dashpots only: so few say little with springs
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
@@ -83,9 +84,10 @@ class AccurateSolution:
         first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
         parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
+        springs = " closed by springs" if holds_springs(self.solution.problem) else ""
         lines = [
             f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
-            f"{orders[-1]}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
+            f"{orders[-1]}{springs}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
             f"{self.seconds:.2f} s"
         ]
         modes = [level.modes for level in self.levels]
@@ -114,9 +116,11 @@ def solve_to_accuracy(
 
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
+    From the second set of harmonics on springs close the truncation of Coulomb's law, as long as they find a solution.
 
     Args:
-        problem: The problem; its own harmonics and samples are not used; a weight or springs that it gives are kept.
+        problem: The problem; its own harmonics and samples are not used; a weight ``rho_tangential`` or springs that
+            it gives are kept.
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
@@ -153,12 +157,16 @@ def solve_to_accuracy(
     density, dropped = float(SAMPLES), frozenset()
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
-    solution, estimate, limit = start, None, ""
+    solution, estimate, limit, springs = start, None, "", True
     while not limit:
-        posed = pose_level(problem, top, density, dropped)
+        posed = pose_level(problem, top, density, dropped, springs)
+        chosen = posed.has_springs and not problem.has_springs
         try:
-            found = solve(posed, solution, tolerance)
+            found = solve(posed, solution, tolerance, fallbacks=not chosen)
         except NotConverged as error:
+            if chosen:
+                springs = False  # dashpots are sturdier
+                continue
             if not levels:
                 raise
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
@@ -227,14 +235,18 @@ def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
     return tuple(int(m) for m in listed)
 
 
-def pose_level(problem: ContactProblem, top: int, density: float, dropped: frozenset[int]) -> ContactProblem:
-    """The problem with harmonics up to ``top`` but for those ``dropped``, samples and weights to match."""
+def pose_level(
+    problem: ContactProblem, top: int, density: float, dropped: frozenset[int], springs: bool = False
+) -> ContactProblem:
+    """The problem with harmonics up to ``top`` but for those ``dropped``, samples, weights and closure to match."""
     kept = tuple(h for h in range(top + 1) if h not in dropped)
     chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
     if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
-    return replace(posed, rho_tangential=match_mobility(posed))
+    posed = replace(posed, rho_tangential=match_mobility(posed))
+    sprung = replace(posed, closure="spring")
+    return sprung if springs and top > FIRST_ORDER and holds_springs(sprung) else posed
 
 
 def judge(
@@ -247,13 +259,15 @@ def judge(
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
-    Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. Harmonics
+    Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. Springs
+    leave far less than the change that they brought, so that it tells nothing of their error. Harmonics
     and samples are looked at together. Where they are above the accuracy they are raised whatever the other errors are:
     those wait. Where more harmonics than at the level before have not halved them, the samples are looked at by
     themselves, unless they did not matter at a level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
-    if before is not None and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
+    closed_alike = before is not None and not any(holds_springs(s.problem) for s in (before, solution))
+    if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
         error = measure_distance(before, solution, figure) / (growth**RATE - 1)
     if error <= accuracy:
         error = max(error, estimate_together(solution, accuracy, figure))

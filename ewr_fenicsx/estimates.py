@@ -3,7 +3,8 @@
 The error is that of the outputs' oscillation over a period: the norm of the difference over the norm, the largest over
 the outputs; phase counts. It is estimated by single Newton steps on a neighbouring problem:
 
-- *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer.
+- *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer. Where springs
+  close the truncation, twice as many, with dashpots.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
@@ -25,8 +26,10 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.closure import list_beyond, measure_beyond
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.inexact_step import solve_inexactly
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 from ewr_fenicsx.symmetry import leave_out_idle
 from ewr_fenicsx.warm_starts import carry_over
 
@@ -35,7 +38,7 @@ WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
-SURE = (0.2, 4.0)  # one step's estimate over the accuracy, outside of which no second one is needed
+CLEAR = 4.0  # one step's estimate over the accuracy, above which no second one is needed
 
 
 Figure = Callable[[PeriodicSolution], RealArray]
@@ -126,7 +129,7 @@ def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSo
         unknowns = balance.pack(known[0], rigid)
         step = balance.linearise(unknowns, known[1])  # at its own motion, which another compliance would change
         try:
-            forces, rigid = balance.unpack(unknowns - step.solve(step.residual))
+            forces, rigid = balance.unpack(unknowns - solve_inexactly(balance, step))
         except np.linalg.LinAlgError:
             return None
     return replace(
@@ -154,13 +157,22 @@ def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None, fig
 
 
 def raise_harmonics(problem: ContactProblem) -> ContactProblem:
-    """The problem with all harmonics up to half as high again, and samples to match."""
+    """The problem with all harmonics up to half as high again, and samples to match.
+
+    What springs leave is small and seen from further off: with twice the harmonics, and dashpots.
+    """
     highest = problem.basis.orders[-1]
-    raised = highest + max(highest // 2 + 2, LEAST_LOOKAHEAD) - 1
+    sprung = holds_springs(problem)
+    added = highest if sprung else highest // 2 + 1
+    raised = highest + max(added, LEAST_LOOKAHEAD - 1)
     # a number leaves out what is zero by symmetry, a list does not
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
-    return replace(problem, harmonics=everything, samples=choose_samples(raised, density))
+    problem = replace(problem, harmonics=everything, samples=choose_samples(raised, density))
+    if not sprung:
+        return problem
+    damped = replace(problem, closure="dashpot")
+    return replace(damped, rho_tangential=match_mobility(damped))
 
 
 def choose_samples(highest: int, density: float) -> int:
@@ -174,7 +186,7 @@ def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None)
 
 
 def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
-    """One Newton step with half as many harmonics again and twice the samples: what it changes is the error by both."""
+    """One Newton step with raised harmonics and twice the samples: what it changes is the error by both."""
     raised = raise_harmonics(solution.problem)
     return take_step(solution, replace(raised, samples=2 * raised.basis.samples))
 
@@ -182,20 +194,25 @@ def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
 def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
-    One Newton step tells where it is far from the accuracy. Where it is near, a second one on the same problem follows:
-    it is mostly closer to the true error, and half of what it changed is added for what further steps would. The steps
-    reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is returned.
+    Where one Newton step tells of far more than the accuracy, that is all. Else a second one on the same problem
+    follows: it is mostly closer to the true error, and half of what it changed is added for what further steps would.
+    The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is
+    returned.
     """
     ahead, problem = look_ahead(solution), solution.problem
     if ahead is None:
         return np.inf
     seen = 1 - (problem.basis.orders[-1] / max(1, raise_harmonics(problem).basis.orders[-1])) ** RATE
     first = measure_step(solution, ahead, figure) / seen
-    low, high = SURE
-    if not low * accuracy < first < high * accuracy:
+    if first > CLEAR * accuracy:
         return first
     second = measure_step(solution, take_step(ahead, ahead.problem), figure) / seen
     return second + abs(second - first) / 2
+
+
+def holds_springs(problem: ContactProblem) -> bool:
+    """Whether springs close the truncation at any pair."""
+    return problem.has_springs and any(isinstance(law, SprungCoulomb) for law in problem.system.laws)
 
 
 def estimate_samples(solution: PeriodicSolution, figure: Figure | None = None) -> float:

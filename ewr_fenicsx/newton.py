@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
 from typing import get_args
@@ -47,6 +48,7 @@ def solve(
     tolerance: float = 1e-8,
     *,
     linear_solver: LinearSolver = "elimination",
+    fallbacks: bool = True,
     raise_on_failure: bool = True,
 ) -> PeriodicSolution:
     """Periodic solution of a contact problem.
@@ -66,6 +68,7 @@ def solve(
             1e-3.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
+        fallbacks: Whether to go on to the next rung where the first one fails: the given start, cold the first climb.
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
@@ -100,21 +103,22 @@ def solve(
     balance, best, attempts, tried = None, None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
-        for name, rung in list_rungs(problem, balance, start, tolerance, linear_solver):
+        rungs = list_rungs(problem, balance, start, tolerance, linear_solver)
+        for name, rung in rungs if fallbacks else islice(rungs, 1):
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].reason}")
             if attempts[-1].converged or attempts[-1].walks:
                 break
             best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
-    fallbacks = tuple(tried) if len(tried) > 1 else ()
+    fell_back = tuple(tried) if len(tried) > 1 else ()
     end = time.perf_counter()
-    solution = include_idle(wrap(problem, balance, attempts, fallbacks, end - begin), asked)
+    solution = include_idle(wrap(problem, balance, attempts, fell_back, end - begin), asked)
     iterated = balance is not None and not balance.linear
     solution = replace(
         solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
     )
     if raise_on_failure and not solution.converged:
-        told = f". Tried: {'; '.join(fallbacks)}" if fallbacks else ""
+        told = f". Tried: {'; '.join(fell_back)}" if fell_back else ""
         advice = "" if attempts[-1].walks else list_remedies(problem, solution.residual)
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "

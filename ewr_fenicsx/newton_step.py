@@ -33,6 +33,11 @@ class NewtonStep:
             changes[d.rows] |= d.changes
         return ~changes
 
+    @property
+    def unknowns_left(self) -> int:
+        """Number of unknowns that no elimination takes out."""
+        return int(self.balance.unknown[:, ~self.steady].sum()) + self.balance.rigid
+
     @cached_property
     def projected(self) -> list[ProjectedDerivative]:
         """The derivatives projected on the harmonics."""

@@ -176,7 +176,7 @@ class _HalvedNewton:
             exact = FAR_TOLERANCE if self.equations.far else CLOSE_TOLERANCE
             if not (direct and factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
                 ksp.solve(f, step)
-                factored = self.equations.mixed
+                factored = self.equations.step.unknowns_left
             if not np.isfinite(step.norm()):
                 return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
             damping = 1.0
@@ -214,11 +214,6 @@ class _Equations:
         self.balance, self.first, self.most_shift = balance, first, most_shift
         self.step, self.shift, self.far = None, 0.0, True
         self.factors: Factorisation | None = None
-
-    @property
-    def mixed(self) -> int:
-        """Unknowns that no elimination takes out of the present step."""
-        return int(self.balance.unknown[:, ~self.step.steady].sum()) + self.balance.rigid
 
     def evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         r.array[:] = self.balance.residual(x.array_r)

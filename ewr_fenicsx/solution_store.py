@@ -15,8 +15,8 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
 _NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
-_TEXTS = ("reason", "fallbacks", "harmonics", "samples", "rho_tangential")
-_CHOSEN = ("harmonics", "samples", "rho_tangential")  # what an accuracy chooses of a problem, solution by solution
+_TEXTS = ("reason", "fallbacks", "harmonics", "samples", "rho_tangential", "closure")
+_CHOSEN = ("harmonics", "samples", "rho_tangential", "closure")  # what an accuracy chooses, solution by solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,7 @@ class Record:
     harmonics: int | tuple[int, ...]
     samples: int | None
     rho_tangential: float | tuple[float, ...] | None
+    closure: str | tuple[float, ...]
     forces: ComplexArray
     rigid: RealArray
     converged: bool
@@ -50,15 +51,15 @@ def restore(problem: ContactProblem, record: Record) -> PeriodicSolution:
     """The solution that ``strip`` took apart, of ``problem`` with the harmonics, samples and weights that it had."""
     stated = {name: getattr(record, name) for name in _CHOSEN}
     if any(_as_numbers(getattr(problem, name)) != value for name, value in stated.items()):
-        weight = stated["rho_tangential"]
-        stated["rho_tangential"] = np.array(weight) if isinstance(weight, tuple) else weight
+        for name in ("rho_tangential", "closure"):
+            stated[name] = np.array(stated[name]) if isinstance(stated[name], tuple) else stated[name]
         problem = replace(problem, **stated)
     kept = {f.name: getattr(record, f.name) for f in fields(Record) if f.name not in ("frequency", *_CHOSEN)}
     return PeriodicSolution(problem, **kept)
 
 
-def _as_numbers(value: object) -> float | tuple | None:
-    """A number or an array as what can be compared, and written as text to the last digit."""
+def _as_numbers(value: object) -> float | str | tuple | None:
+    """A number, a name or an array as what can be compared, and written as text to the last digit."""
     return value if value is None else _freeze(np.asarray(value).tolist())
 
 
@@ -108,6 +109,7 @@ def read_records(group: h5py.Group) -> list[Record]:
             harmonics=harmonics[i],
             samples=texts["samples"][i],
             rho_tangential=_freeze(texts["rho_tangential"][i]),
+            closure=_freeze(texts["closure"][i]),
             forces=arrays["forces"][i, : harmonics[i] + 1 if isinstance(harmonics[i], int) else len(harmonics[i])],
             rigid=arrays["rigid"][i],
             converged=bool(arrays["converged"][i]),

@@ -65,7 +65,8 @@ class AccurateWear:
         estimate = self._estimate(step.solution)
         if estimate <= self.accuracy:
             return replace(step, estimate=estimate)
-        posed = replace(step.solution.problem, rho_tangential=self.problem.rho_tangential)
+        given = {"rho_tangential": self.problem.rho_tangential, "closure": self.problem.closure}
+        posed = replace(step.solution.problem, **given)
         try:
             found = self._solve(posed, step.solution, step.solution.orders[-1])
         except NotConverged:

@@ -12,6 +12,7 @@ import pytest
 
 from ewr_fenicsx import PeriodicSolution, newton, snes, solve, time_integration
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import NotConverged
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -103,6 +104,11 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
     usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
     assert np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid))) > 1e-6
     assert any(rung.startswith("from the default weights") for rung in solution.fallbacks)
+    alone = solve(problem, fallbacks=False, raise_on_failure=False)
+    assert not alone.converged and alone.iterations < solution.iterations and alone.fallbacks == ()
+    with pytest.raises(NotConverged, match="no periodic solution") as refused:
+        solve(problem, usual, fallbacks=False)
+    assert "Tried" not in str(refused.value)
 
 
 def test_pairs_about_to_stick_need_no_fallback():

@@ -192,6 +192,18 @@ def test_records_bring_solutions_back():
     assert (back.reason, back.fallbacks, back.unknowns) == (solution.reason, solution.fallbacks, solution.unknowns)
 
 
+@pytest.mark.parametrize("closure", ["spring", np.full(6, 1e-9)])
+def test_records_bring_the_closure_back(closure):
+    """Of a problem that an accuracy chose it for."""
+    problem = ContactProblem(dovetail(), LAWS, 600.0)
+    solution = solve(replace(problem, closure=closure, rho_tangential=np.full(6, 1e-5)))
+    back = restore(problem, strip(solution))
+    np.testing.assert_array_equal(back.problem.closure, closure)
+    np.testing.assert_array_equal(
+        back.history("admissible_friction_force"), solution.history("admissible_friction_force")
+    )
+
+
 def test_fingerprints_tell_problems_apart():
     problem = ContactProblem(dovetail(), LAWS, 600.0)
     assert fingerprint(problem) == fingerprint(ContactProblem(dovetail(), replace(LAWS), 600.0))

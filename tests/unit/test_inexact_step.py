@@ -1,0 +1,92 @@
+"""Newton steps to a few per cent against the exact ones."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import block_on_feet, dovetail, foot_on_the_ground
+
+from ewr_fenicsx import ContactLaws, ContactProblem, inexact_step, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.inexact_step import COUPLED, TOLERANCE, solve_inexactly
+from ewr_fenicsx.newton_step import NewtonStep
+
+ORDERS = 24
+PROBLEMS = {
+    "held by contact": ContactProblem(dovetail(), ContactLaws(friction=0.3), 600.0, ORDERS),
+    "friction in a plane": ContactProblem(foot_on_the_ground(), ContactLaws(friction=0.4), 0.15, ORDERS),
+    "hangs on friction": ContactProblem(
+        block_on_feet({0: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], 1: [0.0, 0.0, 0.0, 0.0, 0.0, 5.0]}),
+        ContactLaws(friction=0.5, static_friction="resolved"),
+        0.2,
+        ORDERS,
+    ),
+    "mean friction set to zero": ContactProblem(
+        dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 600.0, ORDERS
+    ),
+}
+
+
+@pytest.fixture(params=PROBLEMS)
+def linearised(request, monkeypatch) -> tuple[HarmonicBalance, NewtonStep]:
+    """At the solution of a few harmonics, with all of them; as if even such small ones were worth the trouble."""
+    monkeypatch.setattr(inexact_step, "FEW", 0)
+    problem = PROBLEMS[request.param]
+    balance, low = HarmonicBalance(problem.system), solve(problem)
+    forces = low.forces * (np.array(low.orders) < 6)[:, None]
+    step = balance.linearise(balance.pack(forces, low.rigid))
+    assert step.unknowns_left > 2 * ORDERS, "else there is nothing that changes status"
+    return balance, step
+
+
+def test_what_is_left_is_within_the_tolerance(linearised):
+    balance, step = linearised
+    exact, found = step.solve(step.residual), solve_inexactly(balance, step)
+    left = np.linalg.norm(step.residual - step.multiply(found))
+    assert 1e-9 * np.linalg.norm(step.residual) < left <= 1.001 * TOLERANCE * np.linalg.norm(step.residual)
+    assert np.linalg.norm(found - exact) < 0.2 * np.linalg.norm(exact)
+
+
+def test_where_iterations_do_not_suffice_the_step_is_exact(linearised, monkeypatch):
+    balance, step = linearised
+    monkeypatch.setattr(inexact_step, "ITERATIONS", 1)
+    np.testing.assert_array_equal(solve_inexactly(balance, step), step.solve(step.residual))
+
+
+def test_nothing_stays_in_memory(linearised):
+    """PETSc's objects know the preconditioner, with all its factors, and Python does not see that."""
+
+    def count() -> int:
+        gc.collect()
+        return sum(isinstance(thing, inexact_step._Uncoupled) for thing in gc.get_objects())
+
+    before = count()
+    solve_inexactly(*linearised)
+    assert count() == before
+
+
+def test_small_steps_are_exact(linearised, monkeypatch):
+    balance, step = linearised
+    monkeypatch.setattr(inexact_step, "FEW", step.unknowns_left)
+    np.testing.assert_array_equal(solve_inexactly(balance, step), step.solve(step.residual))
+
+
+def test_uncoupled_harmonics_are_inverted_exactly(linearised):
+    """The preconditioner is the inverse where no row changes status."""
+    balance, step = linearised
+    first = [replace(d, values=np.tile(d.values[0], (len(d.values), 1))) for d in step.derivatives]
+    step = NewtonStep(balance, tuple(first), step.residual)
+    preconditioner = inexact_step._Uncoupled(balance, step)
+    x = np.random.default_rng(4).normal(size=balance.size)
+
+    class Vector:
+        def __init__(self, array):
+            self.array = self.array_r = array
+
+    image, back = Vector(step.multiply(x)), Vector(np.zeros(balance.size))
+    preconditioner.apply(None, image, back)
+    assert len(balance.basis.orders) > 2 * COUPLED
+    np.testing.assert_allclose(back.array, x, rtol=1e-6, atol=1e-8)
