@@ -27,10 +27,10 @@ or `solve_to_accuracy(problem, 0.01)`.
 **A single solution.** The solver starts with harmonics up to 3 and estimates the error by single Newton steps on
 neighbouring problems: with more harmonics and more samples, with another friction weight, with fewer modes. It raises
 the knob that dominates, and starts the next solve at the last solution. From the second set of harmonics on springs
-close the truncation of friction where joints are elastic (`docs/method.md`), which takes fewer harmonics than dashpots.
-A second Newton step sharpens the estimate, unless the first one tells of far more than is asked. The estimate comes with the result, and so does the reason where the accuracy was
-not reached. It covers the outputs at the given frequency, as far as contact solve and modes decide on them. It knows
-nothing of the mesh's error.
+close the truncation of friction where joints are elastic (`docs/method.md`), which takes fewer harmonics than
+dashpots. A second Newton step sharpens the estimate, unless the first one tells of far more than is asked. The
+estimate comes with the result, and so does the reason where the accuracy was not reached. It covers the outputs at
+the given frequency, as far as contact solve and modes decide on them. It knows nothing of the mesh's error.
 
 **Modes.** In a scene the modes are raised as well: `reduction.modes`, given or not, is where they begin. They are
 doubled where those left out matter most; mesh, matrices, static responses and the modes already found are kept.
