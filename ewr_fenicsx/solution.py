@@ -18,6 +18,7 @@ from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.stability import find_side
+from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -321,6 +322,10 @@ class PeriodicSolution:
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
+        if self.rigid.size:
+            balance = HarmonicBalance(self.problem.system)
+            if walks(balance, balance.pack(self.forces, self.rigid), DOUBTFUL):
+                lines.append(MAY_WALK)
         if self.fallbacks:
             stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")

@@ -82,6 +82,16 @@ def test_a_body_that_does_not_walk_is_solved(name):
     assert solution.converged and (motion < 1e-9) == (name == "at rest")
 
 
+@pytest.mark.parametrize("loads", [{0: 0.002, 1: 1.0}, {1: 1.0, 2: 0.04}])
+def test_a_body_that_walks_slowly_is_told(loads):
+    """Its motion is nearly periodic, so that it is a solution; only where it is on average means nothing."""
+    problem = sled(loads)
+    assert abs(drift(problem)) > 1e-2
+    solution = solve(problem)
+    assert abs(solution.output("sled")[0]) > np.ptp(solution.history("slip")), "what the summary warns of"
+    assert "may walk slowly" in solution.summary()
+
+
 @pytest.mark.parametrize("name", HELD)
 def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(name, monkeypatch):
     monkeypatch.setattr("ewr_fenicsx.walking.NOTICED", 0.1 * NOTICED)
@@ -89,6 +99,7 @@ def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(n
     balance = HarmonicBalance(solution.problem.system)
     assert np.any(balance.static_displacement_row > 0) and balance.basis.has_mean
     assert not walks(balance, balance.pack(solution.forces, solution.rigid))
+    assert "walk" not in solution.summary()
 
 
 def test_how_much_is_too_much_is_told_however_little():
