@@ -138,7 +138,7 @@ class SteadyState:
             samples: Samples a period; None: one a step.
 
         Raises:
-            ModelError: An unknown name.
+            ModelError: An unknown name, or no whole number of samples.
         """
         model, expansion = self.problem.model, self.scheme.expansion
         known = HISTORIES + (SECOND_HISTORIES if model.tangents == 2 else ())
@@ -225,7 +225,13 @@ class SteadyState:
 
 
 def resample(values: RealArray, offset: float, samples: int | None) -> RealArray:
-    """Values, one a step at ``offset`` steps past its start, ``(steps, m)``, as ``samples`` from ``tau = 0``."""
+    """Values, one a step at ``offset`` steps past its start, ``(steps, m)``, as ``samples`` from ``tau = 0``.
+
+    Raises:
+        ModelError: No whole number of samples.
+    """
+    if not (samples is None or is_whole(samples, 1)):
+        raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, or None: one a step")
     steps = values.shape[0]
     at = np.arange(steps if samples is None else samples) * (1.0 if samples is None else steps / samples) - offset
     before = np.floor(at).astype(int)
@@ -270,7 +276,7 @@ def integrate(
 
     Raises:
         ModelError: The problem has no period, the start does not fit it, ``steps``, ``periods`` or ``sweeps`` is no
-            whole number from one, or a tolerance is negative or no number.
+            whole number from one, the steps are too few for the harmonics, or a tolerance is negative or no number.
     """
     check_problem(problem)
     for name, count in (("periods", periods), ("sweeps", sweeps)):

@@ -277,6 +277,7 @@ def test_resampling_keeps_phase_and_wraps_round():
         ({"steps": 0}, "steps = 0"),
         ({"steps": 1.5}, "steps = 1.5"),
         ({"steps": "8"}, "steps = '8'"),
+        ({"steps": 6}, "steps = 6 cannot resolve harmonic 3; give at least 7"),
         ({"periods": 0}, "periods = 0"),
         ({"periods": 2.5}, "periods = 2.5"),
         ({"sweeps": -4}, "sweeps = -4"),
@@ -292,6 +293,15 @@ def test_senseless_arguments_are_refused(arguments, message):
         integrate(pose(chain_of(2)), **arguments)
 
 
+def test_a_given_force_that_the_steps_do_not_resolve_is_refused():
+    sled = ReducedModel([[1.0]], [[0.1]], [[1.0]], tangential=[[1.0]], load={1: [1.0]})
+    laws = ContactLaws("prescribed", normal_force={0: 1.0, 12: 0.5})
+    problem = ContactProblem(sled, laws, 0.1, 1)
+    with pytest.raises(ModelError, match="steps = 24 cannot resolve harmonic 12"):
+        integrate(problem, steps=24)
+    assert integrate(problem, steps=25, periods=1).periods == 1
+
+
 def test_a_model_is_no_problem_to_step():
     with pytest.raises(ModelError, match="ContactProblem"):
         integrate(chain_of(2))
@@ -303,6 +313,12 @@ def test_names_and_frequencies_that_do_not_exist_are_refused():
         result.history("slips")
     with pytest.raises(ModelError, match='did you mean "body"'):
         result.output("bodi")
+    for samples in (0, -3, 2.5, "8"):
+        for ask in (lambda n: result.history("slip", n), lambda n: result.output_history("body", n)):
+            with pytest.raises(ModelError, match=f"samples = {samples!r}; give a whole number"):
+                ask(samples)
+        with pytest.raises(ModelError, match="give a whole number"):
+            result.sliding_speed(samples)
     still = ReducedModel(mass=[[1.0]], damping=[[0.0]], stiffness=[[1.0]], normal=[[1.0]])
     with pytest.raises(ModelError, match="needs a period"):
         TimeScheme(ContactProblem(still, ContactLaws(tangential="frictionless"), 0.0, (0,)), 10)
