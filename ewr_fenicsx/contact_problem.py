@@ -20,7 +20,7 @@ from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, conden
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
-from ewr_fenicsx.harmonics import FourierBasis, select_basis
+from ewr_fenicsx.harmonics import FourierBasis, check_given_force, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out, row_of
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
@@ -293,10 +293,7 @@ def compose(problem: ContactProblem) -> ContactSystem:
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    for h, f in problem.excitation.items():  # loads are looked at where the problem is posed
-        if h not in basis.orders and np.any(f):
-            remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
-            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
+    check_given_force(problem.given_force, basis, problem.frequency, model.normal is not None)
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)

@@ -311,3 +311,16 @@ def test_no_normal_force_at_all_is_no_friction():
     for name in model.outputs:
         np.testing.assert_allclose(solve(pressed).output(name), solve(free).output(name), rtol=1e-9, atol=1e-12)
     assert solve(pressed).left_out == (0, 2, 4)
+
+
+def test_a_given_force_that_the_samples_do_not_resolve_is_refused():
+    """Where it acts on nothing but the limit of friction its harmonics need not be kept, but samples must see them."""
+    swings = lambda h: ContactLaws("prescribed", normal_force={0: 0.8, h: 0.6}, friction=0.5)  # noqa: E731
+    problem = ContactProblem(friction_oscillator(damping=0.05), swings(65), 0.1, (1, 3))
+    with pytest.raises(ModelError, match=r"harmonic 65, which samples = 128 a period .*; give at least 131"):
+        solve(problem)
+    few, many = (solve(replace(problem, samples=samples)).output("tip") for samples in (131, 4096))
+    np.testing.assert_allclose(few, many, rtol=0.03)
+    at_rest = ContactProblem(friction_oscillator(load={0: 1.0}), swings(1), 0.0)
+    with pytest.raises(ModelError, match="has a harmonic 1; give a positive frequency"):
+        solve(at_rest)
