@@ -18,6 +18,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import LawKind
 from ewr_fenicsx.reduced_model import RealArray, ReducedModel, hold
 
+_ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
 DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
 
 
@@ -96,7 +97,15 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         index[name][pairs] = np.arange(start, start + pairs.size)
         start += pairs.size
     kept, expansion = hold(model, np.vstack(held))
-    rows = rows @ expansion
+    whole, rows = rows, rows @ expansion
+    immobile = np.linalg.norm(rows, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
+    if np.any(immobile):
+        places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
+        name, pair = places[int(np.argmax(immobile))]
+        raise ModelError(
+            f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is clamped, or held "
+            "by bonds of others already"
+        )
     flexibility, mobility = measure_flexibility(kept, rows)
     if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
         twins = np.array([index["tangential"], index["second_tangential"]])
@@ -107,20 +116,12 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
 
 
 def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:
-    """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, zero and the row's mobility [1/kg].
-
-    Raises:
-        ModelError: A row moves with no coordinate of the model.
-    """
+    """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, 0 and the row's mobility [1/kg]."""
     mobility = np.zeros(rows.shape[0])
     if rows.shape[0] == 0:
         return mobility, mobility
     elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
     norms = np.linalg.norm(rows, axis=1)
-    if not np.all(norms > 0):
-        raise ModelError(
-            f"contact row {int(np.argmin(norms))} moves with no coordinate: its pair is clamped or bonded already"
-        )
     rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
     if np.any(rigid):
         inverse = scipy.linalg.pinvh(model.mass)  # other coordinates may have no mass

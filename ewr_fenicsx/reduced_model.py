@@ -227,7 +227,7 @@ def find_rigid_modes(stiffness: RealArray) -> RealArray:
 def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
     """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
 
-    Redundant rows do no harm. Rigid modes are those that are left.
+    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left.
 
     Args:
         model: The model.
@@ -239,6 +239,7 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
     Raises:
         ModelError: Nothing is left to move.
     """
+    rows = rows[np.any(rows != 0, axis=1)]
     if rows.shape[0] == 0:
         return model, np.eye(model.size)
     basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)

@@ -264,10 +264,35 @@ def test_laws_that_do_not_fit_the_model_are_refused(model, laws, message):
 def test_a_pair_that_nothing_can_move_is_named():
     model = random_structure()
     clamped = replace(model, normal=model.normal * [[1.0], [0.0], [1.0]])
-    with pytest.raises(
-        ModelError, match="contact row 1 moves with no coordinate: its pair is clamped or bonded already"
-    ):
+    with pytest.raises(ModelError, match="the normal row of pair 1 moves with no coordinate: the pair is clamped"):
         ContactProblem(clamped, ContactLaws(), 0.1).system  # noqa: B018
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pair_that_bonds_of_others_hold_is_named(seed):
+    """As where two flanks share a corner. Rounding left of its row something that took forces of 1e15 N to move."""
+    model = random_structure(seed=seed)
+    normal, tangential = model.normal.copy(), model.tangential.copy()
+    normal[2], tangential[2] = 0.7 * normal[0], 0.7 * tangential[0]
+    model = replace(model, normal=normal, tangential=tangential, load={0: np.ones(9), 1: np.ones(9)})
+    bonds, rubs = ContactLaws("bonded", "bonded"), ContactLaws()
+    with pytest.raises(ModelError, match=r"the normal row of pair 2 .* held by bonds of others already"):
+        solve(ContactProblem(model, [([0], bonds), ([1, 2], rubs)], 0.1))
+    sticks = ContactLaws("prescribed", "bonded", normal_force=1.0)
+    with pytest.raises(ModelError, match="the tangential row of pair 2 moves"):
+        solve(ContactProblem(model, [([0], sticks), ([1, 2], ContactLaws("prescribed", normal_force=1.0))], 0.1))
+
+
+def test_a_bond_of_a_pair_that_is_clamped_holds_nothing():
+    model = random_structure()
+    model = replace(model, load={1: np.ones(9)})
+    clamped = replace(model, normal=model.normal * [[1.0], [0.0], [1.0]])
+    tip, free = (
+        solve(ContactProblem(clamped, [([0, 2], ContactLaws("bonded", "frictionless")), ([1], laws)], 0.1, 1))
+        for laws in (ContactLaws("bonded", "frictionless"), ContactLaws("prescribed", "frictionless", normal_force=0.0))
+    )
+    np.testing.assert_allclose(tip.output("tip"), free.output("tip"), rtol=1e-12)
+    assert np.all(tip.history("normal_force", 8)[:, 1] == 0)
 
 
 @pytest.mark.parametrize("tangential", ["frictionless", "bonded"])
