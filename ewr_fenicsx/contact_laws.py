@@ -61,7 +61,7 @@ class ContactLaws:
         normal_force: Prescribed normal force [N], scalar or ``(K,)``, or harmonic -> such amplitudes (complex).
         initial_gap: Clearance [m], scalar or ``(K,)``; wear adds to it.
         static_friction: ``"resolved"`` finds the mean friction force of pairs that slip; ``"zero"`` sets it to zero.
-        parameters: Parameters of a kind registered elsewhere, name -> value.
+        parameters: Parameters of a kind registered elsewhere, name -> value; none of those above.
 
     Raises:
         ModelError: An unknown law or parameter, a negative friction or gap, or a prescribed law without its force.
@@ -98,7 +98,10 @@ class ContactLaws:
         """
         classes = find_kind("normal", self.normal), find_kind("tangential", self.tangential)
         wanted = list_parameters("normal", self.normal), list_parameters("tangential", self.tangential)
+        own = {f.name for f in fields(self) if f.name != "normal_force" or self.normal_force is not None}
         for name in self.parameters:
+            if name in own:
+                raise ModelError(f'parameters["{name}"] is an argument of its own; give {name} = ... in its place')
             if not any(name in names for names in wanted):
                 known = sorted({*wanted[0], *wanted[1]})
                 raise ModelError(
