@@ -281,12 +281,12 @@ class PeriodicSolution:
         work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
         period = 2 * np.pi / omega
-        rubbed = 0.0
+        rubbed, truncated = 0.0, [np.zeros((fine, np.count_nonzero(slides)))]
         for direction, which in along.items():
             acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
             force, speed = (self.history(which + n, count) for n in ("admissible_friction_force", "slip_velocity"))
             rubbed -= period * np.sum(np.mean(force * speed, axis=0)[acts])
-        truncated = [self.history(which + "friction_force", fine)[:, slides] for which in along.values() or [""]]
+            truncated.append((self.history(which + "friction_force", fine) * acts)[:, slides])  # bonds have no cone
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
             "penetration": max(0.0, -float(gap[:, unilateral].min(initial=0.0))),

@@ -24,9 +24,11 @@ from test_jenkins import AMPLITUDES, LIMIT, SPRING, SUPPORT, drive, exact_force,
 import ewr_fenicsx
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.contact_laws import Coulomb
 from ewr_fenicsx.contact_state import SLIP, STICK, classify_contact, list_histories
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
+from ewr_fenicsx.reduced_model import hold
 from ewr_fenicsx.solution import PeriodicSolution
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -255,6 +257,36 @@ def test_a_problem_without_an_unknown_left_creates_no_snes():
         solution = solve(ContactProblem(model, laws, 0.1, 3))
     assert not counts["SNES"] and solution.unknowns == 0 and solution.converged
     assert not np.any(solution.forces)
+
+
+@register_law("tangential", "rail")
+@dataclass(frozen=True, eq=False)
+class Rail(LawKind):
+    """Rubs along the first tangent and is guided across it."""
+
+    friction: float = 0.2
+    needs = ("normal",)
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        return ("tangential",)
+
+    def holds(self, tangents: int) -> tuple[str, ...]:
+        return ("second_tangential",)
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        return (Coulomb(group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, 1e-6),)
+
+
+def test_a_rail_in_space_is_a_joint_in_the_plane():
+    """Held across, it is the model without that motion; what guides it is no friction, whatever its cone."""
+    model = random_structure(size=12, tangents=2)
+    model = replace(model, load={0: -3 * model.normal.sum(axis=0), 1: 9 * np.arange(12) + 5j})
+    rail = solve(ContactProblem(model, ContactLaws(tangential="rail"), 0.1, 5))
+    held = hold(model, model.rows("second_tangential"))[0]
+    plane = solve(ContactProblem(replace(held, tangential=held.rows("tangential")), ContactLaws(), 0.1, 5))
+    np.testing.assert_allclose(rail.output("tip"), plane.output("tip"), rtol=1e-9)
+    assert plane.merit["friction_dissipation"] > 0 and np.ptp(rail.history("second_friction_force")) > 1.0
+    assert rail.merit == pytest.approx(plane.merit, rel=1e-6, abs=1e-9)
 
 
 def test_own_kinds_are_known_by_name_and_guard_it(recipe):
