@@ -48,6 +48,18 @@ def find_holding(
     if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
         return "normal"
     rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
+    pulls = (smallest < 0) & (friction > 0)
+    if rest > _BALANCED and np.any(pulls):
+        # the cone lets no bond pull: let each pull beside its pressing, so that nothing that holds is refused
+        more = lambda values: np.concatenate([values, np.zeros((np.count_nonzero(pulls), *values.shape[1:]))])  # noqa: E731
+        rest, motion = _unbalanced(
+            np.concatenate([normal_motion, normal_motion[pulls]]),
+            np.array([more(moved) for moved in tangential_motion]),
+            bounds + [(low, 0.0) for low in smallest[pulls]],
+            more(friction),
+            more(limit),
+            rigid_load,
+        )
     rubs = (friction > 0) | (limit > 0)
     seen = np.vstack([normal_motion, *tangential_motion[:, rubs]])
     if np.linalg.matrix_rank(seen, tol=1e-9 * np.abs(seen).max(initial=1e-300)) < r:

@@ -107,6 +107,38 @@ def test_how_much_is_too_much_is_told_however_little():
         solve(sled({0: LIMIT / (1 - 1e-4)}))
 
 
+def pull_bond(lift: float, friction: float, sideways: float = 0.2) -> ContactProblem:
+    """A floating mass that a bonded foot holds down, and a foot under a given normal force sideways."""
+    each = np.eye(5)  # the mass's x and y, the bonded foot's x and y, the other foot's x
+    stretch = [each[0] - each[2], each[1] - each[3], each[0] - each[4]]
+    stiffness = 5.0 * sum(np.outer(row, row) for row in stretch)
+    model = ReducedModel(
+        mass=np.diag([1.0, 1.0, 0.0, 0.0, 0.0]),
+        damping=0.05 * stiffness,
+        stiffness=stiffness,
+        normal=[each[3], 0 * each[3]],
+        tangential=[each[2], each[4]],
+        load={0: lift * each[1] + sideways * each[0], 1: 0.3 * each[0] + 0.1j * each[1]},
+        outputs={"sled": each[0]},
+    )
+    bond = ContactLaws("bonded", friction=friction)
+    return ContactProblem(
+        model, [([0], bond), ([1], ContactLaws("prescribed", normal_force=4.0, friction=0.5))], 0.1, 7
+    )
+
+
+def test_a_bond_that_pulls_has_no_friction_but_holds():
+    """The cone was taken to forbid the pull, and the body for unheld, where without friction it was held."""
+    rubs, glides = solve(pull_bond(1.0, 0.3)), solve(pull_bond(1.0, 0.0))
+    np.testing.assert_allclose(rubs.output("sled"), glides.output("sled"), atol=1e-9)
+    barely = pull_bond(0.01, 0.3)  # presses for a part of the period, and rubs then
+    steady = integrate(barely, steps=800, theta=0.52)
+    assert steady.converged
+    np.testing.assert_allclose(solve(barely).output("sled")[1], steady.output("sled")[1], rtol=1e-3)
+    with pytest.raises(UnheldBody, match="nothing holds a floating body"):
+        solve(pull_bond(1.0, 0.0, sideways=2.5))
+
+
 def press_ring(twist: float, nodes: int = 12) -> ContactProblem:
     """A ring of bars spread against a hub that does not move, and turned by ``twist`` of what friction can hold."""
     angle = 2 * np.pi * np.arange(nodes) / nodes
