@@ -293,6 +293,18 @@ def test_senseless_arguments_are_refused(arguments, message):
         integrate(pose(chain_of(2)), **arguments)
 
 
+@pytest.mark.parametrize("theta, least, most", [(0.5, 1 / 3, 0.5), (0.6, 0.25, 0.4), (1.0, 0.0, 0.0)])
+@pytest.mark.parametrize("steps", [200, 3200])
+def test_a_mass_that_lands_rebounds_as_the_docstring_says(theta, least, most, steps):
+    """Wherever in a step it lands, and however long that is."""
+    still = ReducedModel([[1.0]], [[0.0]], [[0.0]], normal=[[1.0]])
+    problem = ContactProblem(still, ContactLaws(tangential="frictionless"), 1.0, 1)
+    for share in np.linspace(0, 1, 9, endpoint=False):
+        start = State(np.array([0.3 + share / steps]), np.array([-1.0]))
+        speed = integrate(problem, start, steps=steps, periods=1, tolerance=0, theta=theta).end.velocity
+        assert least - 1e-9 <= speed <= most + 1e-9
+
+
 def test_a_given_force_that_the_steps_do_not_resolve_is_refused():
     sled = ReducedModel([[1.0]], [[0.1]], [[1.0]], tangential=[[1.0]], load={1: [1.0]})
     laws = ContactLaws("prescribed", normal_force={0: 1.0, 12: 0.5})
