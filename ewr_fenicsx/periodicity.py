@@ -7,8 +7,9 @@ import numpy as np
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.time_stepping import Period, TimeScheme
 
-# A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), or by the modal
-# motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip).
+# A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
+# motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), or by what the load
+# alone would move in a step (nothing moves where all sticks).
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
 _WINDOW = 6  # periods that the extrapolation looks back on
@@ -23,6 +24,7 @@ class Watch:
         self.readers = np.vstack([*readers, scheme.rows])
         self.history = [np.zeros((0, len(self.names)))]
         self.previous: RealArray | None = None
+        self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
 
     def measure_change(self, period: Period) -> float:
         """Relative change since the period before, the largest of each output's and of the pair motions' together."""
@@ -39,6 +41,7 @@ class Watch:
             (_STILL, total(motion)),
             (_CANCELLED, total(np.abs(modal - modal.mean(axis=0)) @ weight)),
             (_ROUNDED, total(np.abs(modal) @ weight)),
+            (_ROUNDED, total(self.pushed)),
         ):
             scale = np.maximum(scale, share**2 * size)
         change = np.divide(total(motion - previous), scale, out=np.zeros_like(scale), where=scale > 0)

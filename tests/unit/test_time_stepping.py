@@ -305,6 +305,19 @@ def test_a_mass_that_lands_rebounds_as_the_docstring_says(theta, least, most, st
         assert least - 1e-9 <= speed <= most + 1e-9
 
 
+@pytest.mark.parametrize("stiffness, mean", [(1.0, 0.0), (0.0, 0.0), (0.0, 0.1), (1.0, 0.1)])
+@pytest.mark.parametrize("start", [None, "rest"])
+def test_what_sticks_from_rest_is_steady(stiffness, mean, start):
+    """It moves by rounding alone, which is no ringing."""
+    load = {0: [mean], 1: [1.0]}
+    stuck = ReducedModel([[1.0]], [[0.1]], [[stiffness]], tangential=[[1.0]], load=load, outputs={"tip": [1.0]})
+    laws = ContactLaws("prescribed", normal_force=1.5, friction=1.0)
+    result = integrate(ContactProblem(stuck, laws, 0.1, 3), start, steps=400)
+    assert result.converged and result.periods == 2 and np.ptp(result.output_history("tip")) < 1e-12
+    gliding = integrate(ContactProblem(stuck, replace(laws, friction=0.3), 0.1, 3), start, steps=400, periods=2)
+    assert not gliding.converged, "the first periods of what moves are none of the steady state"
+
+
 def test_a_given_force_that_the_steps_do_not_resolve_is_refused():
     sled = ReducedModel([[1.0]], [[0.1]], [[1.0]], tangential=[[1.0]], load={1: [1.0]})
     laws = ContactLaws("prescribed", normal_force={0: 1.0, 12: 0.5})
