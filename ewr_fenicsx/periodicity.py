@@ -16,12 +16,14 @@ _WINDOW = 6  # periods that the extrapolation looks back on
 
 
 class Watch:
-    """Follows outputs and pair motions from period to period."""
+    """Follows outputs and pair motions from period to period; where there are none, the motion of all masses."""
 
     def __init__(self, scheme: TimeScheme):
         self.names = list(scheme.problem.model.outputs)
         readers = [scheme.problem.model.outputs[name] @ scheme.expansion for name in self.names]
         self.readers = np.vstack([*readers, scheme.rows])
+        if not self.readers.size:  # bonds alone, and no output: their forces follow from the whole motion
+            self.readers = np.diag(np.sqrt(np.maximum(scheme.mass, 0.0)))
         self.history = [np.zeros((0, len(self.names)))]
         self.previous: RealArray | None = None
         self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)

@@ -305,6 +305,16 @@ def test_a_mass_that_lands_rebounds_as_the_docstring_says(theta, least, most, st
         assert least - 1e-9 <= speed <= most + 1e-9
 
 
+def test_bonds_without_outputs_are_steady_when_the_motion_is():
+    """There is no row and no output to watch, but the forces of the bonds to read."""
+    bonded = replace(chain_of(2), outputs={})
+    problem = pose(bonded, ContactLaws("bonded", "bonded"))
+    result, expected = integrate(problem, "rest", steps=800, periods=400), solve(problem)
+    assert result.converged and result.periods > 5
+    force = expected.history("normal_force", 64)
+    assert result.history("normal_force", 64) == pytest.approx(force, abs=1e-3 * np.abs(force).max())
+
+
 @pytest.mark.parametrize("stiffness, mean", [(1.0, 0.0), (0.0, 0.0), (0.0, 0.1), (1.0, 0.1)])
 @pytest.mark.parametrize("start", [None, "rest"])
 def test_what_sticks_from_rest_is_steady(stiffness, mean, start):
