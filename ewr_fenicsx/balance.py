@@ -23,6 +23,8 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 # Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
+# Most that closing the gaps may make of the force that counts as one, over that without: gaps that do close take less.
+WIDE = 1e3
 
 
 class HarmonicBalance:
@@ -59,6 +61,10 @@ class HarmonicBalance:
     @cached_property
     def full_stick(self) -> tuple[ComplexArray, RealArray]:
         """Force amplitudes ``(n_h, m)`` and rigid coordinates when no pair opens or slips: the linear start."""
+        return self._stick(lambda target: target)
+
+    def _stick(self, place: Callable[[RealArray], RealArray]) -> tuple[ComplexArray, RealArray]:
+        """``full_stick``, where the laws' mean displacements are given to ``place`` and what it returns is held [m]."""
         compliance = self.compliance
         forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
         rigid = np.zeros(self.rigid)
@@ -72,7 +78,7 @@ class HarmonicBalance:
         if self.basis.has_mean:
             target = np.full(self.rows, np.nan)
             for law, rows in zip(self.system.laws, self.law_rows, strict=True):
-                target[rows] = np.nan if law.static_target is None else law.static_target
+                target[rows] = np.nan if law.static_target is None else place(law.static_target)
             held = np.flatnonzero(np.isfinite(target))
             unit = np.mean(self.system.flexibility)
             G = compliance.rigid_motion[held]
@@ -90,8 +96,19 @@ class HarmonicBalance:
 
     @cached_property
     def force_unit(self) -> float:
-        """Force that counts as one [N]: the norm of the full-stick forces where none was given."""
-        return self._force_unit or float(np.linalg.norm(self.full_stick[0])) or 1.0
+        """Force that counts as one [N]: the norm of the full-stick forces where none was given.
+
+        Full stick closes every gap. Wide ones, which nothing closes, take forces beside which all others would be
+        rounding: the unit is at most ``WIDE`` times the norm of the forces that hold the pairs where they are.
+        """
+        if self._force_unit:
+            return self._force_unit
+        unit = float(np.linalg.norm(self.full_stick[0]))
+        targets = [law.static_target for law in self.system.laws if law.static_target is not None]
+        if any(np.any(target < 0) for target in targets):
+            held = float(np.linalg.norm(self._stick(lambda target: np.maximum(target, 0.0))[0]))
+            unit = min(unit, WIDE * held or unit)
+        return unit or 1.0
 
     @cached_property
     def firm(self) -> HarmonicBalance:
