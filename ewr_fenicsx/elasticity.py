@@ -9,9 +9,12 @@ from __future__ import annotations
 import cmath
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import dolfinx
 import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
 import ufl
 from petsc4py import PETSc
 
@@ -117,6 +120,28 @@ class Structure:
     loads: tuple[Load, ...]
     outputs: Mapping[str, PETSc.Vec]
     modal_damping: float | None
+
+    @cached_property
+    def part(self) -> np.ndarray:
+        """The part of each node, ``(all nodes,)`` from 0, the same on every rank; collective on first use.
+
+        Nodes that cells join are of one part: bodies that share nodes are one, a body of separate pieces is several.
+        """
+        space, comm = self.space, self.mass.comm.tompi4py()
+        count = space.dofmap.index_map.size_global
+        cells = np.arange(self.mesh.domain.topology.index_map(2).size_local)
+        nodes = local_to_global(space, _compat.cell_dofs(space, cells)).reshape(len(cells), -1)
+        first = np.broadcast_to(nodes[:, :1], nodes.shape).ravel()
+        mine, here = connect(first, nodes.ravel(), count), np.unique(nodes)
+        leader = np.unique(mine, return_index=True)[1][mine]
+        links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
+        return connect(*links.T, count)
+
+
+def connect(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
+    """Connected component of each of ``count`` nodes ``(count,)``, by pairs of nodes that are joined."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
+    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def assemble_structure(

@@ -7,13 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
-from ewr_fenicsx import _compat
-from ewr_fenicsx.elasticity import Structure, body_nodes, local_to_global
+from ewr_fenicsx.elasticity import Structure, body_nodes, connect
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.interface import Interface
 
@@ -126,8 +123,8 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
     """
     tie = tie_pairs(structure, interface)
     stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
-    part = find_parts(structure)
-    bonded = _connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
+    part = structure.part
+    bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
     fixed = np.concatenate(structure.mass.comm.tompi4py().allgather(structure.fixed_dofs))
     clamped = np.isin(bonded, bonded[part[fixed // 2]]).all()
     # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
@@ -164,35 +161,13 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     return tie
 
 
-def find_parts(structure: Structure) -> np.ndarray:
-    """The part of each node, ``(all nodes,)`` from 0, the same on every rank: nodes that cells join are of one part.
-
-    Bodies that share nodes are one part, and a body of separate pieces is several.
-    """
-    space, comm = structure.space, structure.mass.comm.tompi4py()
-    count = space.dofmap.index_map.size_global
-    cells = np.arange(structure.mesh.domain.topology.index_map(2).size_local)
-    nodes = local_to_global(space, _compat.cell_dofs(space, cells)).reshape(len(cells), -1)
-    first = np.broadcast_to(nodes[:, :1], nodes.shape).ravel()
-    mine, here = _connect(first, nodes.ravel(), count), np.unique(nodes)
-    leader = np.unique(mine, return_index=True)[1][mine]
-    links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
-    return _connect(*links.T, count)
-
-
-def _connect(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
-    """Connected component of each of ``count`` nodes ``(count,)``, by pairs of nodes that are joined."""
-    graph = scipy.sparse.coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
-
-
 def find_floating_parts(structure: Structure, interface: Interface) -> tuple[np.ndarray, np.ndarray]:
     """Parts that contact alone holds, and the part of each node ``(all nodes,)``; collective.
 
     Raises:
         ModesError: A part is neither clamped nor in contact; names its bodies.
     """
-    comm, part = structure.mass.comm.tompi4py(), find_parts(structure)
+    comm, part = structure.mass.comm.tompi4py(), structure.part
     clamped = part[np.concatenate(comm.allgather(structure.fixed_dofs // 2))]
     touching = part[np.concatenate([interface.nodes_a, interface.nodes_b])]
     loose = np.setdiff1d(part, np.concatenate([clamped, touching]))
