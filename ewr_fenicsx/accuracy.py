@@ -84,10 +84,10 @@ class AccurateSolution:
         first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
         parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
-        springs = " closed by springs" if holds_springs(self.solution.problem) else ""
+        springs, count = " closed by springs" if holds_springs(self.solution.problem) else "", len(self.levels)
         lines = [
             f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
-            f"{orders[-1]}{springs}, {self.solution.problem.basis.samples} samples, {len(self.levels)} solves, "
+            f"{orders[-1]}{springs}, {self.solution.problem.basis.samples} samples, {count} solve{'s' * (count != 1)}, "
             f"{self.seconds:.2f} s"
         ]
         modes = [level.modes for level in self.levels]

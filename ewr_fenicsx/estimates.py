@@ -38,6 +38,8 @@ WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
+ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
+AT_REST = 1e-9  # share of what loads would move without contact, below which what moves is what cancelled
 CLEAR = 4.0  # one step's estimate over the accuracy, above which no second one is needed
 
 
@@ -72,12 +74,17 @@ class ErrorEstimate:
         return max(errors, key=lambda name: -1.0 if np.isnan(errors[name]) else errors[name])
 
 
-def compare_responses(here: ComplexArray, there: ComplexArray) -> float:
-    """Relative distance of two responses ``(n_h, p)`` at the same harmonics above 0: the worst of ``p`` columns."""
-    size = np.linalg.norm(there, axis=0)
+def compare_responses(here: ComplexArray, there: ComplexArray, rest: RealArray | float = 0.0) -> float:
+    """Relative distance of two responses ``(n_h, p)`` at the same harmonics above 0: the worst of ``p`` columns.
+
+    Columns of which both are rounding beside the largest one are not compared, nor those of which both are below
+    ``rest``, scalar or ``(p,)``.
+    """
+    size, other = (np.linalg.norm(response, axis=0) for response in (there, here))
     distance = np.linalg.norm(here - there, axis=0)
-    moves = size > 1e-12 * size.max(initial=0.0)
-    return float((distance[moves] / size[moves]).max(initial=0.0))
+    larger = np.maximum(size, other)
+    moves = larger > np.maximum(ROUNDED * larger.max(initial=0.0), rest)
+    return float((distance[moves] / np.maximum(size[moves], np.finfo(float).tiny)).max(initial=0.0))
 
 
 def read_response(
@@ -105,7 +112,8 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure
     """
     orders = sorted({*solution.orders, *other.orders})
     here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
-    distance = compare_responses(here, there)
+    unhindered = read_response(other.problem, np.zeros_like(other.forces), np.zeros_like(other.rigid), orders)
+    distance = compare_responses(here, there, AT_REST * np.linalg.norm(unhindered, axis=0))
     if figure is None:
         return distance
     here, there = figure(solution), figure(other)

@@ -12,6 +12,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     choose_harmonics,
+    compare_responses,
     drop_modes,
     estimate_errors,
     estimate_modes,
@@ -302,6 +303,21 @@ def test_a_linear_problem_is_exact():
     laws = ContactLaws(normal="bonded", tangential="bonded")
     found = solve_to_accuracy(ContactProblem(lift_off_oscillator(), laws, FREQUENCY), 0.01)
     assert found.estimate.total < 1e-14 and len(found.levels) == 1
+
+
+def test_what_sticks_throughout_is_exact():
+    """Its motion is the rounding of what loads and friction would move: an error of 100 % was seen in that."""
+    laws = ContactLaws(normal="prescribed", friction=1.0, normal_force=1.01)
+    found = solve_to_accuracy(ContactProblem(friction_oscillator(load={1: 1.0}), laws, 0.1), 0.01)
+    assert np.abs(found.solution.output("tip")).max() < 1e-12
+    assert found.reached and found.estimate.total == 0.0 and len(found.levels) == 1
+
+
+def test_an_output_that_begins_to_move_is_compared():
+    here, there = np.array([[1.0, 0.1]]), np.array([[1.0, 0.0]])
+    assert compare_responses(here, there, rest=1e-3) > 1e6
+    assert compare_responses(here, there, rest=np.array([0.0, 0.2])) == 0.0
+    assert compare_responses(there, here) == 1.0
 
 
 def test_idle_harmonics_stay_left_out():
