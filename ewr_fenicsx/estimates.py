@@ -193,12 +193,6 @@ def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None)
     return step_towards(solution, raise_harmonics(solution.problem), figure)
 
 
-def look_ahead(solution: PeriodicSolution) -> PeriodicSolution | None:
-    """One Newton step with raised harmonics and twice the samples: what it changes is the error by both."""
-    raised = raise_harmonics(solution.problem)
-    return take_step(solution, replace(raised, samples=2 * raised.basis.samples))
-
-
 def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
@@ -207,10 +201,11 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
     The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is
     returned.
     """
-    ahead, problem = look_ahead(solution), solution.problem
+    raised = raise_harmonics(solution.problem)
+    ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
     if ahead is None:
         return np.inf
-    seen = 1 - (problem.basis.orders[-1] / max(1, raise_harmonics(problem).basis.orders[-1])) ** RATE
+    seen = 1 - (solution.orders[-1] / max(1, raised.basis.orders[-1])) ** RATE
     first = measure_step(solution, ahead, figure) / seen
     if first > CLEAR * accuracy:
         return first
