@@ -21,6 +21,7 @@ from mpi4py import MPI
 from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import is_positive, read_numbers
@@ -122,7 +123,8 @@ class FrequencyResponse:
     def table(self) -> dict[str, RealArray]:
         """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, instability, Newton steps.
 
-        Harmonic h of an output is ``Re((re + i im) exp(i h omega t))``.
+        Figures that none of the laws concerns are left out. Harmonic h of an output is
+        ``Re((re + i im) exp(i h omega t))``.
         """
         columns = {"frequency [Hz]": self.frequencies}
         for name in self.solutions[0].problem.model.outputs if self.solutions else ():
@@ -131,7 +133,7 @@ class FrequencyResponse:
                 columns[f"re {name} harmonic {h}"] = amplitude.real
                 columns[f"im {name} harmonic {h}"] = amplitude.imag
         if self.solutions:
-            columns |= {name: self.figure(name) for name in self.solutions[0].merit}
+            columns |= {name: self.figure(name) for name in list_figures(self.solutions[0])}
         columns["unstable"] = self.unstable.astype(int)
         columns["Newton steps"] = np.array([s.iterations for s in self.solutions])
         columns["residual"] = np.array([s.residual for s in self.solutions])

@@ -176,7 +176,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
-    series = {name: table[name] for name in table if name.startswith("rms_")} or {"J_T": table["J_T"]}
+    series = {name: table[name] for name in table if name.startswith("rms_")} or {"J_T": curve.figure("J_T")}
     height = next(iter(series.values()))
     strongest = curve.solutions[int(np.where(curve.unstable, -1.0, height).argmax())]
 

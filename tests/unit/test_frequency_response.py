@@ -113,6 +113,15 @@ def test_table_and_files_hold_the_curve(tmp_path):
         curve.figure("J_X")
 
 
+def test_a_table_leaves_out_figures_that_no_law_concerns():
+    figures = {"penetration", "tension", "J_N", "J_T", "friction_dissipation", "cone_violation"}
+    assert figures <= set(sweep().table())
+    held = sweep(laws=ContactLaws("bonded", "bonded")).table()
+    assert not figures & set(held) and "rms_tip" in held
+    pressed = sweep(laws=ContactLaws("prescribed", normal_force=100.0, friction=0.3)).table()
+    assert figures & set(pressed) == {"J_T", "friction_dissipation", "cone_violation"}
+
+
 def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
     whole, solve_block, begun = sweep(), frequency_sweep._solve_block, []
 
