@@ -91,9 +91,11 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         progress: Called as ``progress(stage, None)`` when a stage begins and ``progress(stage, seconds)`` when it ends.
 
     Raises:
-        SceneError: The scene names a body or boundary that the mesh does not have.
+        SceneError: No scene, or one that names a body or boundary that the mesh does not have.
         MeshError, InterfaceError, ModesError: The geometry does not give a joint that can be solved.
     """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene = {scene!r}; give a scene as load_scene(path) returns it")
     watch = Stopwatch(progress)
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)

@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx import _compat, chain
 from ewr_fenicsx.chain import Stopwatch, add_times
+from ewr_fenicsx.errors import SceneError
 
 
 @pytest.fixture
@@ -56,6 +57,12 @@ def test_every_second_counts_for_one_stage(clock):
 
 def test_times_add_up_by_stage():
     assert add_times({"mesh": 1.0, "JIT": 2.0}, {"solve": 4.0, "JIT": 8.0}) == {"mesh": 1.0, "JIT": 10.0, "solve": 4.0}
+
+
+@pytest.mark.parametrize("build", [chain.build_chain, chain.build_reduced_model])
+def test_a_path_is_no_scene(build):
+    with pytest.raises(SceneError, match=r"scene = 'blade.toml'; give a scene as load_scene\(path\) returns it"):
+        build("blade.toml")
 
 
 def test_compilation_is_measured_on_every_form():
