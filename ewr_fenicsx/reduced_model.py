@@ -181,7 +181,7 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
     try:
         opened = h5py.File(path, "r")
     except OSError as error:
-        why = error.strerror or error
+        why = error.strerror or error if Path(path).exists() else "there is no such file"
         raise ModelError(f"{path} is no reduced model: {why}; give a file that ReducedModel.save wrote") from None
     with opened as file:
         if file.attrs.get("format") != _FORMAT:
