@@ -14,15 +14,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 
-from ewr_fenicsx.accuracy import check_accuracy
+from ewr_fenicsx.accuracy import check_accuracy, solve_to_accuracy
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
-from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
+from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody, nearest
 from ewr_fenicsx.following import solve_from
 from ewr_fenicsx.given import is_positive, is_whole
 from ewr_fenicsx.law_kinds import spread_over_pairs
@@ -67,10 +68,11 @@ class Tolerance:
     damped: bool = True
 
     def __post_init__(self) -> None:
-        if not (
-            is_positive(self.share) and is_whole(self.first, 1) and (self.depth is None or is_positive(self.depth))
-        ):
-            raise ModelError(f"{self}; depth and share must be positive, first a whole number of at least 1 cycle")
+        fits = is_positive(self.share) and self.share < 1 and (self.depth is None or is_positive(self.depth))
+        if not (fits and is_whole(self.first, 1)):
+            raise ModelError(
+                f"{self}; depth and share must be positive, share below 1, first a whole number of at least 1 cycle"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +245,8 @@ def evolve_wear(
         store = WearFile(Path(file), stated, problem)
     state = store.read() if store else None
     if choice and accuracy is None:
+        for name in choice.keys() - signature(solve_to_accuracy).parameters.keys():
+            raise ModelError(f"{name}: no argument of evolve_wear{nearest(name, signature(evolve_wear).parameters)}")
         raise ModelError(
             f"{', '.join(choice)}: only where an accuracy is asked for; give accuracy=... or leave them out"
         )

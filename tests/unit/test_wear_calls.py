@@ -47,6 +47,8 @@ def test_nothing_wears_at_rest():
         ({"deepest": np.nan}, "deepest = nan; give a positive depth"),
         ({"jump": 0.01}, r"jump = 0.01; give Tolerance\(share=0.01\) or the like, or None"),
         ({"accuracy": "x"}, "accuracy = 'x'; give a relative error between 0 and 1"),
+        ({"cycle": 5}, 'cycle: no argument of evolve_wear; did you mean "cycles"'),
+        ({"highest": 9}, "highest: only where an accuracy is asked for; give accuracy=... or leave them out"),
         ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\("),
     ],
 )
@@ -55,9 +57,9 @@ def test_what_makes_no_wear_calculation_is_refused(arguments, message):
         evolve_wear(**{"problem": pose()} | arguments)
 
 
-@pytest.mark.parametrize("arguments", [{"share": 0}, {"share": "x"}, {"first": 2.5}, {"depth": np.inf}])
+@pytest.mark.parametrize("arguments", [{"share": 0}, {"share": 5}, {"share": "x"}, {"first": 2.5}, {"depth": np.inf}])
 def test_what_makes_no_tolerance_is_refused(arguments):
-    with pytest.raises(ModelError, match="depth and share must be positive, first a whole number of at least 1 cycle"):
+    with pytest.raises(ModelError, match="positive, share below 1, first a whole number of at least 1 cycle"):
         Tolerance(**arguments)
 
 
