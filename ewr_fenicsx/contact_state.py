@@ -22,6 +22,7 @@ def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
     """Names of the figures of merit that the laws of a solution call for; the others are zero by construction."""
     histories = list_histories(solution)
     calls = {
+        "largest_normal_force": "normal_force",
         "penetration": "gap",
         "tension": "gap",
         "J_N": "gap",
@@ -29,7 +30,7 @@ def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
         "cone_violation": "admissible_friction_force",
         "friction_dissipation": "admissible_friction_force",
     }
-    return tuple(name for name in solution.merit if calls.get(name, "normal_force") in histories)
+    return tuple(name for name in solution.merit if name not in calls or calls[name] in histories)
 
 
 def changes_state(solution: PeriodicSolution) -> bool:

@@ -41,6 +41,7 @@ LEAST = {
 }  # N, N, µm, µm, mm/s
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
 FLANK_COLOURS = ("#c1121f", "#1d6fb8", "#e08e0b", "#2a9d57", "#7b3fa0", "#666666")
+FLANK_COLOURS += ("#8c564b", "#00b3b3", "#e377c2", "#a3a300", "#1b1b6b", "#ff9d8a")  # fir trees of up to six lobes
 INK = "#222222"
 
 
@@ -234,6 +235,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
                     x[here, pair], y[here, pair], ".", color=_COLOURS.to_rgba(place), markersize=2.5, rasterized=True
                 )
             axes.set_xlabel(across)
+        line[0].locator_params(axis="x", nbins=4)  # for all of the row; more would overlap where extents are tiny
         if "friction" in along:
             line[0].set_ylim(-2, 2)
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
@@ -306,7 +308,9 @@ def _caption(solution: PeriodicSolution) -> str:
     orders = solution.orders
     gapless = orders == tuple(range(orders[0], orders[-1] + 1))
     kept = f"{orders[0]} to {orders[-1]}" if gapless else ", ".join(map(str, orders))
-    return f"{solution.problem.frequency:g} Hz, harmonics {kept}" if any(orders) else "at rest"
+    wear = 0.0 if solution.problem.wear is None else solution.problem.wear.max()
+    worn = f", worn by up to {1e6 * wear:.3g} µm" if wear > 0 else ""
+    return (f"{solution.problem.frequency:g} Hz, harmonics {kept}" if any(orders) else "at rest") + worn
 
 
 def _place_key(figure: Figure, grid: np.ndarray) -> None:

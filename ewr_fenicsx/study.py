@@ -37,7 +37,8 @@ class Study:
         chain: What it was solved on: the chain that was given, or one with as many modes as an accuracy took.
         solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
         seconds: Time of each stage.
-        curve: Of a sweep, frequencies and the rms of its first output (or J_T); of wear, cycles and mean worn depth.
+        curve: Of a sweep, frequencies and the rms of its first output (or J_T, or the work of the
+            loads); of wear, cycles and mean worn depth.
         told: A few lines for people.
         write: Writes the study's own files into a folder; collective.
         facts: What decides whether to trust the run, for its summary: accuracy, breaks and gaps of a sweep, why wear
@@ -176,8 +177,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
-    series = {name: table[name] for name in table if name.startswith("rms_")} or {"J_T": curve.figure("J_T")}
-    height = next(iter(series.values()))
+    outputs = [name for name in table if name.startswith("rms_")]
+    shown = outputs or ["J_T" if "J_T" in table else "excitation_work"]  # nothing slides where all is bonded
+    height = table[shown[0]]
     strongest = curve.solutions[int(np.where(curve.unstable, -1.0, height).argmax())]
 
     def write(folder: Path) -> None:
@@ -190,7 +192,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             folder / "frequency_response.png",
             "frequency [Hz]",
             curve.frequencies,
-            {f"{name} [mm]": 1e3 * values for name, values in series.items()},
+            dict(_label(name, table[name]) for name in shown),
             curve.breaks,
             curve.unstable,
         )
@@ -217,6 +219,10 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         worst = max(found.estimate.total for found in curve.accurate)
         facts["accuracy"] = {"asked": accuracy, "reached": not short, "estimate": {"total": worst}, "short": short}
     return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write, facts)
+
+
+def _label(name: str, values: RealArray) -> tuple[str, RealArray]:
+    return (f"{name} [J]", values) if name == "excitation_work" else (f"{name} [mm]", 1e3 * values)
 
 
 def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from ewr_fenicsx import load_scene, plots
 from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.plots import draw_mesh
 from ewr_fenicsx.study import run_study
 
@@ -64,6 +65,54 @@ def test_forces_that_press_end_on_the_body(drawn):
 def test_forces_that_pull_begin_on_the_body(drawn):
     (tail, head), *_ = list_arrows(drawn("blade_root")[0])
     assert head[1] > tail[1] + 10 and tail[1] > 270, "upwards from the tip"
+
+
+def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
+    """Axes are then a thousandth of a micrometre wide, and their numbers long."""
+    text = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = text.partition("[loads.tip_shake]")[0]  # at rest
+    (tmp_path / "scene.toml").write_text(text)
+    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_contact_sets(tmp_path / "sets.png", study.chain.interface, study.solution)
+    FigureCanvasAgg(figures[0]).draw()
+    for axes in figures[0].axes[:8]:
+        low, high = axes.get_xlim()
+        assert high - low < 0.01
+        boxes = [t.get_window_extent() for t in axes.get_xticklabels() if low <= t.get_position()[0] <= high]
+        assert len(boxes) > 1 and not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+def test_pictures_of_a_worn_joint_say_so(tmp_path, monkeypatch):
+    """They are those of the last cycle, unlike the ones of the same scene without wear."""
+    text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
+    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    titles = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: titles.append(figure._suptitle.get_text()))
+    for draw in (plots.draw_histories, plots.draw_contact_sets):
+        draw(tmp_path / "picture.png", study.chain.interface, study.solution)
+    assert set(titles) == {f"1400 Hz, harmonics 0 to 5, worn by up to {1e6 * study.solution.problem.wear.max():.3g} µm"}
+
+
+def test_flanks_of_a_large_fir_tree_have_colours_of_their_own():
+    assert len(set(plots.FLANK_COLOURS)) >= 10
+
+
+def test_a_curve_without_outputs_shows_something_that_moves(tmp_path, monkeypatch):
+    """Nothing slides where all is bonded."""
+    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = text.partition("[outputs")[0] + '[contact]\nbody_a = "upper"\nbody_b = "lower"\n'
+    text += 'normal = "bonded"\ntangential = "bonded"\n[excitation]\nfrequency = [900.0, 1000.0]\n'
+    (tmp_path / "scene.toml").write_text(text)
+    shown = {}
+    monkeypatch.setattr(plots, "draw_curves", lambda path, across, x, series, *more: shown.update(series))
+    with pytest.warns(SceneWarning, match="there are no outputs"):
+        scene = load_scene(tmp_path / "scene.toml")
+    study = run_study(build_chain(scene))
+    study.write(tmp_path)
+    assert list(shown) == ["excitation_work [J]"] and (shown["excitation_work [J]"] > 0).all()
 
 
 def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
