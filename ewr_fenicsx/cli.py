@@ -166,6 +166,8 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         if seconds:
             stages = ", ".join(f"{stage} {t:.2f} s" for stage, t in seconds.items())
             console.print(f"last run, {folder}: {stages}; laws share the solve by their unknowns", soft_wrap=True)
+        elif arguments.out:
+            print(f"ewr: warning: {folder} holds no run of this scene as it is; no times", file=sys.stderr, flush=True)
     return 0
 
 

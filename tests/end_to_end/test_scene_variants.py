@@ -299,8 +299,12 @@ def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
     assert {"wear.csv", "wear.png", "worn_depth.xdmf", "worn_gap.xdmf", "worn_surface.xdmf"} <= set(summary["files"])
     capsys.readouterr()
     assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    shown = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("wear "))
+    told = capsys.readouterr()
+    shown = next(line for line in told.out.splitlines() if line.startswith("wear "))
     assert " on " in shown and "20 cycles" in shown and shown.rstrip().endswith("%"), "its share of the run's time"
+    assert "no run of this scene" not in told.err
+    assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "elsewhere")]) == 0
+    assert "elsewhere holds no run of this scene as it is" in capsys.readouterr().err
 
 
 def test_a_bonded_scene_loads_and_runs_nothing_that_it_does_not_call_for(tmp_path):
