@@ -228,9 +228,10 @@ def _inspect_model(source: Path) -> _Inspection:
     """Check the current gmsh model and number its nodes without gaps, as dolfinx needs them."""
     dimension = gmsh.model.getDimension()
     if dimension < 2 or not any(len(tags) for tags in gmsh.model.mesh.getElements(dimension)[1]):
-        raise MeshError(
-            f"{source}: the model has no mesh of surfaces; does the builder call gmsh.model.mesh.generate(2)?"
+        made = (
+            "was it made by gmsh -2" if source.suffix == ".msh" else "does the builder call gmsh.model.mesh.generate(2)"
         )
+        raise MeshError(f"{source}: the model has no mesh of surfaces; {made}?")
     bodies, boundaries = _name_groups(source, dimension), _name_groups(source, dimension - 1)
     if not bodies:
         raise MeshError(f"{source}: no named body; give each body a physical group of dimension {dimension}")
@@ -270,9 +271,10 @@ def _name_groups(source: Path, dimension: int) -> dict[str, int]:
     for _, number in gmsh.model.getPhysicalGroups(dimension):
         name = gmsh.model.getPhysicalName(dimension, number)
         if not name:
+            drawn = ("Point", "Curve", "Surface", "Volume")[dimension]
             raise MeshError(
                 f"{source}: physical group {number} of dimension {dimension} has no name of its own; "
-                "give it one with gmsh.model.setPhysicalName"
+                f'give it one, with gmsh.model.setPhysicalName or, in a .geo file, Physical {drawn}("NAME") = ...'
             )
         if name in groups:
             raise MeshError(

@@ -49,7 +49,7 @@ class Geometry(Section):
     def find_source(cls, source: Path, info: ValidationInfo) -> Path:
         source = ((info.context or {}).get("folder", Path()) / source).resolve()
         if source.suffix not in (".py", ".msh"):
-            raise PydanticCustomError("source", "should be a builder (.py) or a gmsh mesh (.msh)")
+            raise PydanticCustomError("source", "should be a builder (.py) or a gmsh mesh (.msh), as gmsh -2 makes it")
         if not source.is_file():
             raise PydanticCustomError("source", "no such file: {path}", {"path": str(source)})
         return source
