@@ -30,6 +30,9 @@ def explain_mistakes(error: ValidationError, data: Any, file: Path | None, secti
 
 def explain_syntax(error: ValueError) -> str:
     """What is wrong with a file that is not TOML; the reader's own words on keys that stand there twice tell nobody."""
+    if isinstance(error, UnicodeDecodeError):
+        line = error.object[: error.start].count(b"\n") + 1
+        return f"line {line} is not UTF-8; save the file as UTF-8"
     return str(error).replace("Cannot overwrite a value", "a key that was given before")
 
 

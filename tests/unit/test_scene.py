@@ -100,6 +100,13 @@ def test_mistake_is_named_with_file_key_value_and_expectation(read, tmp_path, ad
     assert str(caught.value).startswith(f"scene {tmp_path / 'scene.toml'}: ")
 
 
+def test_scene_that_is_not_utf_8_is_refused_by_its_line(tmp_path):
+    (tmp_path / "scene.toml").write_bytes(SCENE.encode() + "\n# Fuß".encode("latin-1"))
+    line = SCENE.count("\n") + 2
+    with pytest.raises(SceneError, match=rf"not valid TOML: line {line} is not UTF-8; save the file as UTF-8$"):
+        load_scene(tmp_path / "scene.toml")
+
+
 def test_scene_that_an_editor_marked_as_utf_8_is_read(tmp_path):
     (tmp_path / "builder.py").touch()
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8-sig")
@@ -123,7 +130,7 @@ def test_missing_tables_and_files_are_named(read, tmp_path):
         read(HEAD + AT + "[loads]")
     with pytest.raises(SceneError, match=r"geometry\.source = 'bilder\.py': no such file: .*bilder\.py"):
         read(SCENE.replace("builder.py", "bilder.py"))
-    with pytest.raises(SceneError, match=r"should be a builder \(\.py\) or a gmsh mesh \(\.msh\)"):
+    with pytest.raises(SceneError, match=r"should be a builder \(\.py\) or a gmsh mesh \(\.msh\), as gmsh -2 makes it"):
         read(SCENE.replace("builder.py", "builder.step"))
     with pytest.raises(SceneError, match=r"nowhere\.toml: cannot be read: No such file"):
         load_scene(tmp_path / "nowhere.toml")
