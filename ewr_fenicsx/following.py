@@ -56,9 +56,9 @@ class Curve:
     points: list[PeriodicSolution] = field(default_factory=list)
     jumps: list[Jump] = field(default_factory=list)
 
-    def extend(self, other: Curve, first: int = 0) -> None:
-        """Append another curve from its point ``first`` on."""
-        self.points += other.points[first:]
+    def extend(self, other: Curve) -> None:
+        """Append another curve."""
+        self.points += other.points
         self.jumps += other.jumps
 
 

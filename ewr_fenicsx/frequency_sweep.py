@@ -83,10 +83,13 @@ class FrequencyResponse:
         found = set()
         for jump in self.jumps:
             begin, end = jump.frequency
-            for i, (here, there) in enumerate(pairwise(self.frequencies)):
-                if i not in found and here == begin and (there - end) * (end - begin) >= 0:
-                    found.add(i)
-                    break
+            around = [
+                i
+                for i, (here, there) in enumerate(pairwise(self.frequencies))
+                if i not in found and (begin - here) * (end - begin) >= 0 and (there - end) * (end - begin) >= 0
+            ]
+            at = [i for i in around if self.frequencies[i] == begin]  # or that point was only passed, and is not kept
+            found.update((at or around)[:1])
         return tuple(sorted(found))
 
     @cached_property
@@ -333,7 +336,8 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
             same = [i for i, s in enumerate(part.points) if s.problem.frequency == here.problem.frequency]
             meets = [i for i in same if agree(part.points[i], here)]
             if meets:
-                curve.extend(part, meets[-1] + 1)
+                ahead = [jump for jump in part.jumps if jump.frequency[1] > target]
+                curve.extend(Curve(part.points[meets[-1] + 1 :], ahead))
                 break
     return curve
 

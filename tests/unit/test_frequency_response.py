@@ -23,7 +23,7 @@ from ewr_fenicsx import (
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import LARGEST_SURPRISE, Jump, agree
+from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
 from ewr_fenicsx.refining import join_points, measure_gap, refine_point
 from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
@@ -343,6 +343,19 @@ def test_breaks_of_a_curve_are_where_its_jumps_are():
     assert breaks() == ()
     assert breaks((2.0, 3.0)) == (1,) and breaks((2.0, 3.0), (2.0, 3.0)) == (1, 4)
     assert breaks((3.0, 2.5)) == (2,) and breaks((3.0, 4.0)) == (5,)
+    assert breaks((3.7, 5.0)) == (5,), "from a point between given frequencies, which is not kept"
+
+
+def test_a_jump_before_blocks_meet_is_no_jump_of_their_curve(monkeypatch):
+    """The second block began on another branch, which it lost; the first one's leads on to where it went."""
+    point = lambda f: SimpleNamespace(problem=SimpleNamespace(frequency=f))  # noqa: E731
+    first = Curve([point(1.0), point(2.0)])
+    second = Curve([point(2.0), point(3.0), point(4.0)], [Jump((2.5, 3.0), ""), Jump((3.5, 4.0), "")])
+    follower = SimpleNamespace(follow=lambda start, targets: Curve([point(f) for f in targets]))
+    monkeypatch.setattr(frequency_sweep, "agree", lambda a, b: a.problem.frequency > 2)
+    curve = frequency_sweep._join([first, second], [(1.0, 2.0), (2.0, 3.0, 4.0)], follower)
+    assert [p.problem.frequency for p in curve.points] == [1, 2, 3, 4]
+    assert [jump.frequency for jump in curve.jumps] == [(3.5, 4.0)]
 
 
 def test_accurate_curves_are_kept_in_files(tmp_path):

@@ -227,5 +227,6 @@ def test_a_sweep_does_not_go_round_in_circles(monkeypatch):
     model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
     curve = frequency_response(model, LAWS, np.linspace(0.14, 0.22, 9), harmonics=5, progress=False)
     assert "closed curve" in curve.jumps[0].why
+    assert len(curve.breaks) == len(curve.jumps), "a picture's line ends there"
     assert max(laps) < 2
     assert curve.missing == () and len(curve.solutions) == 9
