@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import block_on_feet, dovetail, foot_on_the_ground
+from small_models import block_on_feet, dovetail, foot_on_the_ground, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, inexact_step, solve
 from ewr_fenicsx.balance import HarmonicBalance
@@ -26,6 +26,12 @@ PROBLEMS = {
     ),
     "mean friction set to zero": ContactProblem(
         dovetail(), ContactLaws(friction=0.3, static_friction="zero"), 600.0, ORDERS
+    ),
+    "odd harmonics only": ContactProblem(
+        replace(random_structure(pairs=4), normal=None, load={1: np.ones(9)}),
+        ContactLaws(normal="prescribed", normal_force=0.05, friction=1.0),
+        0.1,
+        tuple(range(1, 2 * ORDERS, 2)),
     ),
 }
 
