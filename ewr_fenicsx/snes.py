@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -66,67 +67,73 @@ def run_newton(
         near: Whether the start is a neighbour's solution: no step is shortened by a shift.
     """
     norm = np.linalg.norm(balance.residual(start))
-    if balance.firm is balance or norm <= tolerance:
-        return _run_once(balance, start, tolerance, linear_solver, limit, near)
-    firm = _run_once(balance.firm, start, max(tolerance, TAKE_OVER), linear_solver, limit, near)
-    attempts = []
-    if firm.converged:
-        attempts.append(_run_once(balance, firm.unknowns, tolerance, linear_solver, limit, near=True))
-    # weights far above the defaults put the two balances far apart: then from the start again
-    if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BETWEEN[1]):
-        attempts.append(_run_once(balance, start, tolerance, linear_solver, limit, near))
+    with closing(_Newton(balance, linear_solver, limit)) as newton:
+        if balance.firm is balance or norm <= tolerance:
+            return newton.run(balance, start, tolerance, near)
+        firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)
+        attempts = []
+        if firm.converged:  # the factors of its last step serve the balance as well
+            attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
+        # weights far above the defaults put the two balances far apart: then from the start again
+        if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BETWEEN[1]):
+            attempts.append(newton.run(balance, start, tolerance, near))
     if not attempts:
         return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts, key=lambda attempt: attempt.residual), iterations=steps)
 
 
-def _run_once(
-    balance: HarmonicBalance,
-    start: RealArray,
-    tolerance: float,
-    linear_solver: LinearSolver,
-    limit: int | None,
-    near: bool,
-) -> Attempt:
-    """One run on one balance, as ``run_newton``."""
-    if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
-        linear_solver = "dense"
-    comm = PETSc.COMM_SELF
-    snes = PETSc.SNES().create(comm)
-    snes.setOptionsPrefix("ewr_")
-    x, r = PETSc.Vec().createSeq(balance.size, comm=comm), PETSc.Vec().createSeq(balance.size, comm=comm)
-    equations = _Equations(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
-    ksp = snes.getKSP()
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    pc = ksp.getPC()
-    if linear_solver == "dense":
-        matrix = PETSc.Mat().createDense((balance.size, balance.size), comm=comm)
-        pc.setType(PETSc.PC.Type.LU)
-    else:
-        matrix = PETSc.Mat().createPython((balance.size, balance.size), context=equations, comm=comm)
-        pc.setType(PETSc.PC.Type.PYTHON)
-        pc.setPythonContext(equations)
-    matrix.setUp()
-    snes.setFunction(equations.evaluate, r)
-    snes.setJacobian(equations.linearise, matrix)
-    snes.setType(PETSc.SNES.Type.PYTHON)
-    snes.setPythonContext(_HalvedNewton(equations))
-    snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
-    snes.setFromOptions()
-    if limit is not None:
-        snes.setTolerances(max_it=limit)
-    x.array[:] = start
-    try:
-        snes.solve(None, x)
-        code, found, steps = snes.getConvergedReason(), x.array.copy(), snes.getIterationNumber()
-    finally:
-        for item in (pc, ksp, snes, matrix, x, r):  # with pc or ksp left, the equations stay, with all their factors
+class _Newton:
+    """A SNES for balances with the same unknowns, its linear solver set up by name; to be closed."""
+
+    def __init__(self, balance: HarmonicBalance, linear_solver: LinearSolver, limit: int | None):
+        if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
+            linear_solver = "dense"
+        comm = PETSc.COMM_SELF
+        self.limit, self.equations = limit, _Equations()
+        self.snes = PETSc.SNES().create(comm)
+        self.snes.setOptionsPrefix("ewr_")
+        self.x, self.r = (PETSc.Vec().createSeq(balance.size, comm=comm) for _ in range(2))
+        self.ksp = self.snes.getKSP()
+        self.ksp.setType(PETSc.KSP.Type.PREONLY)
+        self.pc = self.ksp.getPC()
+        if linear_solver == "dense":
+            self.matrix = PETSc.Mat().createDense((balance.size, balance.size), comm=comm)
+            self.pc.setType(PETSc.PC.Type.LU)
+        else:
+            self.matrix = PETSc.Mat().createPython((balance.size, balance.size), context=self.equations, comm=comm)
+            self.pc.setType(PETSc.PC.Type.PYTHON)
+            self.pc.setPythonContext(self.equations)
+        self.matrix.setUp()
+        self.snes.setFunction(self.equations.evaluate, self.r)
+        self.snes.setJacobian(self.equations.linearise, self.matrix)
+        self.halved = _HalvedNewton(self.equations)
+        self.snes.setType(PETSc.SNES.Type.PYTHON)
+        self.snes.setPythonContext(self.halved)
+
+    def run(
+        self, balance: HarmonicBalance, start: RealArray, tolerance: float, near: bool, *, again: bool = False
+    ) -> Attempt:
+        """One run from one start; ``again``: where the run before ended, whose factors may serve."""
+        self.equations.pose(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
+        self.halved.factored = self.halved.factored if again else 0
+        self.snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
+        self.snes.setFromOptions()
+        if self.limit is not None:
+            self.snes.setTolerances(max_it=self.limit)
+        self.x.array[:] = start
+        self.snes.solve(None, self.x)
+        code, steps = self.snes.getConvergedReason(), self.snes.getIterationNumber()
+        found = self.x.array.copy()
+        residual = float(np.linalg.norm(balance.residual(found)))
+        if residual <= tolerance and walks(balance, found):
+            return Attempt(found, residual, steps, WALKS, False, walks=True)
+        return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)
+
+    def close(self) -> None:
+        """Destroys what PETSc holds: with PC or KSP left, the equations stay in memory, with all their factors."""
+        for item in (self.pc, self.ksp, self.snes, self.matrix, self.x, self.r):
             item.destroy()
-    residual = float(np.linalg.norm(balance.residual(found)))
-    if residual <= tolerance and walks(balance, found):
-        return Attempt(found, residual, steps, WALKS, False, walks=True)
-    return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)
 
 
 _REASONS = {
@@ -147,6 +154,7 @@ class _HalvedNewton:
 
     def __init__(self, equations: _Equations):
         self.equations = equations
+        self.factored = 0  # unknowns of the factors at hand
 
     def solve(self, snes: PETSc.SNES, _: PETSc.Vec, x: PETSc.Vec) -> None:
         reason = PETSc.SNES.ConvergedReason
@@ -158,7 +166,7 @@ class _HalvedNewton:
         _, tolerance, _, limit = snes.getTolerances()
         snes.computeFunction(x, f)
         norm = f.norm()
-        norms, factored = [], 0
+        norms = []
         for taken in range(limit + 1):
             norms.append(norm)
             snes.setIterationNumber(taken)
@@ -174,9 +182,9 @@ class _HalvedNewton:
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
             exact = FAR_TOLERANCE if self.equations.far else CLOSE_TOLERANCE
-            if not (direct and factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
+            if not (direct and self.factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
                 ksp.solve(f, step)
-                factored = self.equations.step.unknowns_left
+                self.factored = self.equations.step.unknowns_left
             if not np.isfinite(step.norm()):
                 return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
             damping = 1.0
@@ -210,10 +218,13 @@ def solve_with_old_factors(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, 
 class _Equations:
     """The balance as PETSc sees it: residual, Jacobian as a matrix or as an operator, and that one's exact inverse."""
 
-    def __init__(self, balance: HarmonicBalance, first: float, most_shift: float):
+    def __init__(self):
+        self.factors: Factorisation | None = None
+
+    def pose(self, balance: HarmonicBalance, first: float, most_shift: float) -> None:
+        """The balance of a run, its first residual norm, and the most that is added to contact rows."""
         self.balance, self.first, self.most_shift = balance, first, most_shift
         self.step, self.shift, self.far = None, 0.0, True
-        self.factors: Factorisation | None = None
 
     def evaluate(self, snes: PETSc.SNES, x: PETSc.Vec, r: PETSc.Vec) -> None:
         r.array[:] = self.balance.residual(x.array_r)

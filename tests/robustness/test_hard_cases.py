@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -119,7 +120,8 @@ def test_pairs_about_to_stick_need_no_fallback():
     balance = HarmonicBalance(solution.problem.system)
     assert balance.firm is not balance
     start = balance.pack(*balance.full_stick)
-    by_itself = snes._run_once(balance, start, 1e-8, "elimination", None, False)
+    with closing(snes._Newton(balance, "elimination", None)) as newton:
+        by_itself = newton.run(balance, start, 1e-8, near=False)
     assert solution.iterations <= 20 and by_itself.iterations > 3 * solution.iterations
 
 
