@@ -259,11 +259,11 @@ def judge(
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
-    Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. Springs
-    leave far less than the change that they brought, so that it tells nothing of their error. Harmonics
-    and samples are looked at together. Where they are above the accuracy they are raised whatever the other errors are:
-    those wait. Where more harmonics than at the level before have not halved them, the samples are looked at by
-    themselves, unless they did not matter at a level before: there are as many a harmonic.
+    Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. (Springs
+    leave far less than the change that they brought, which tells nothing of their error.) Harmonics and samples are
+    looked at together. Where they are above the accuracy they are raised whatever the other errors are: those wait.
+    Where more harmonics than at the level before have not halved them, the samples are looked at by themselves, unless
+    they did not matter at a level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
     closed_alike = before is not None and not any(holds_springs(s.problem) for s in (before, solution))
