@@ -278,8 +278,11 @@ def draw_curves(
     if np.any(hollow):
         axes.plot([], [], "--", color="0.3", linewidth=1.2, label="unstable", **empty)
     axes.set_xlabel(across)
+    units = {name[name.rfind("[") :] for name in series}
+    axes.set_ylabel(next(iter(series)) if len(series) == 1 else "".join(units) if len(units) == 1 else "")
     axes.set_ylim(bottom=0.0)
-    axes.legend()
+    if len(series) > 1 or np.any(hollow):
+        axes.legend()
     figure.savefig(path, dpi=DPI)
 
 

@@ -115,6 +115,22 @@ def test_a_curve_without_outputs_shows_something_that_moves(tmp_path, monkeypatc
     assert list(shown) == ["excitation_work [J]"] and (shown["excitation_work [J]"] > 0).all()
 
 
+@pytest.mark.parametrize(
+    "series, label, told",
+    [
+        ({"rms_tip [mm]": [1.0, 2.0]}, "rms_tip [mm]", False),
+        ({"mean [µm]": [1.0, 2.0], "deepest [µm]": [2.0, 3.0]}, "[µm]", True),
+        ({"depth [µm]": [1.0, 2.0], "work [J]": [2.0, 3.0]}, "", True),
+    ],
+)
+def test_the_unit_of_curves_stands_at_their_axis(monkeypatch, tmp_path, series, label, told):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_curves(tmp_path / "curves.png", "frequency [Hz]", np.array([1.0, 2.0]), series)
+    axes = figures[0].axes[0]
+    assert axes.get_ylabel() == label and (axes.get_legend() is not None) == told
+
+
 def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
     text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
     (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
