@@ -19,12 +19,12 @@ ORDER = [
     "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing",
     "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics",
     "compliance", "closure", "layout", "contact_problem", "law_derivatives", "elimination", "newton_step",
-    "balance", "inexact_step", "stability", "walking", "indicators", "solution", "time_stepping", "periodicity",
+    "balance", "inexact_step", "stability", "walking", "indicators", "solution", "contact_state", "time_stepping", "periodicity",
     "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton", "estimates",
     "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining", "frequency_sweep",
     "archard", "wear_store", "wear_accuracy", "wear", "scene_errors", "scene_entries", "scene_joint",
     "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes",
-    "reduction", "chain", "contact_state", "gathering", "plots", "cost_plots", "result_folder", "output",
+    "reduction", "chain", "gathering", "plots", "cost_plots", "result_folder", "output",
     "wear_fields", "work_folder", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
