@@ -236,7 +236,7 @@ def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
 
 
 def pose_level(
-    problem: ContactProblem, top: int, density: float, dropped: frozenset[int], springs: bool = False
+    problem: ContactProblem, top: int, density: float, dropped: frozenset[int], springs: bool
 ) -> ContactProblem:
     """The problem with harmonics up to ``top`` but for those ``dropped``, samples, weights and closure to match."""
     kept = tuple(h for h in range(top + 1) if h not in dropped)

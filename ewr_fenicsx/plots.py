@@ -40,8 +40,10 @@ LEAST = {
     "slip_velocity": 1e-3,
 }  # N, N, µm, µm, mm/s
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
-FLANK_COLOURS = ("#c1121f", "#1d6fb8", "#e08e0b", "#2a9d57", "#7b3fa0", "#666666")
-FLANK_COLOURS += ("#8c564b", "#00b3b3", "#e377c2", "#a3a300", "#1b1b6b", "#ff9d8a")  # fir trees of up to six lobes
+FLANK_COLOURS = (  # enough for fir trees of six lobes
+    *("#c1121f", "#1d6fb8", "#e08e0b", "#2a9d57", "#7b3fa0", "#666666"),
+    *("#8c564b", "#00b3b3", "#e377c2", "#a3a300", "#1b1b6b", "#ff9d8a"),
+)
 INK = "#222222"
 
 

@@ -116,7 +116,8 @@ class _Newton:
     ) -> Attempt:
         """One run from one start; ``again``: where the run before ended, whose factors may serve."""
         self.equations.pose(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
-        self.halved.factored = self.halved.factored if again else 0
+        if not again:
+            self.halved.factored = 0
         self.snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
         self.snes.setFromOptions()
         if self.limit is not None:

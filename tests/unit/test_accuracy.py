@@ -9,7 +9,7 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.estimates import (
     choose_harmonics,
     compare_responses,
@@ -19,7 +19,6 @@ from ewr_fenicsx.estimates import (
     estimate_samples,
     estimate_together,
     estimate_weight,
-    holds_springs,
     match_mobility,
     measure_distance,
     measure_step,
@@ -239,65 +238,6 @@ def test_an_accuracy_of_something_else_than_a_problem_is_refused():
 def test_weights_that_are_given_are_kept():
     found = solve_to_accuracy(rub_and_lift_off(rho_tangential=0.3), 0.05)
     assert found.solution.problem.rho_tangential == 0.3
-
-
-def rub_behind_springs(harmonics=5, load=1.0, **settings) -> ContactProblem:
-    """Two masses, each with a massless node that rubs behind a spring of its own."""
-    stiffness = np.array([[7.0, -1.0, -5.0, 0.0], [-1.0, 6.0, 0.0, -4.0], [-5.0, 0.0, 5.2, 0.0], [0.0, -4.0, 0.0, 4.1]])
-    mass = np.diag([1.0, 1.3, 1e-4, 1e-4])
-    model = ReducedModel(
-        mass=mass,
-        damping=0.02 * mass + 0.005 * stiffness,
-        stiffness=stiffness,
-        tangential=np.eye(4)[2:],
-        load={1: load * np.eye(4)[0]},
-        outputs={"first": np.eye(4)[0], "second": np.eye(4)[1]},
-    )
-    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=[0.5, 0.2])
-    return ContactProblem(model, laws, 0.22, harmonics, **settings)
-
-
-@pytest.fixture(scope="module")
-def truth_behind_springs():
-    """With dashpots and with springs: both agree, so that either is right."""
-    found = [
-        solve(rub_behind_springs(highest, samples=20 * highest, closure=closure))
-        for highest, closure in ((101, "dashpot"), (201, "spring"))
-    ]
-    assert measure_distance(*found) < 2e-4
-    return found[1]
-
-
-@pytest.mark.parametrize("accuracy", [0.01, 0.002])
-def test_springs_close_the_truncation_where_joints_are_elastic(accuracy, truth_behind_springs):
-    """From the second set of harmonics on, fewer of them do than with dashpots; the estimate is on the safe side."""
-    found = solve_to_accuracy(rub_behind_springs(), accuracy)
-    assert found.reached and holds_springs(found.solution.problem) and "closed by springs" in found.summary()
-    true = measure_distance(found.solution, truth_behind_springs)
-    assert 0 < true <= accuracy and true / 2 < found.estimate.total <= accuracy
-    posed = rub_behind_springs()
-    damped = solve_to_accuracy(replace(posed, rho_tangential=match_mobility(posed)), accuracy)
-    assert not damped.solution.problem.has_springs
-    assert found.solution.unknowns < damped.solution.unknowns
-
-
-def test_where_springs_find_no_solution_dashpots_go_on(monkeypatch, truth_behind_springs):
-    tried = []
-
-    def refuse_springs(problem, start, tolerance, *, fallbacks):
-        tried.append((problem.basis.orders[-1], problem.has_springs, fallbacks))
-        found = solve(problem, start, tolerance)
-        if problem.has_springs:
-            raise NotConverged("as if", best=replace(found, reason="as if"))
-        return found
-
-    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_springs)
-    found = solve_to_accuracy(rub_behind_springs(), 0.003)
-    assert found.reached and not found.solution.problem.has_springs and not found.solution.fallbacks
-    assert measure_distance(found.solution, truth_behind_springs) <= 0.003
-    (first, *_), (second, *_) = tried[0], tried[1]
-    assert tried[:3] == [(first, False, True), (second, True, False), (second, False, True)], "no ladder for springs"
-    assert not any(springs for _, springs, _ in tried[3:])
 
 
 def test_a_linear_problem_is_exact():

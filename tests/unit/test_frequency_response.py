@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from small_models import dovetail, friction_oscillator, lift_off_oscillator, stop_oscillator
+from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
 from ewr_fenicsx import (
     ContactLaws,
@@ -26,7 +26,7 @@ from ewr_fenicsx.estimates import estimate_errors, measure_distance
 from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
 from ewr_fenicsx.refining import join_points, measure_gap, refine_point
-from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip
+from ewr_fenicsx.solution_store import read_records, restore, strip
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)
@@ -199,26 +199,6 @@ def test_records_bring_solutions_back():
     assert agree(back, solution)
     np.testing.assert_array_equal(back.forces, solution.forces)
     assert (back.reason, back.fallbacks, back.unknowns) == (solution.reason, solution.fallbacks, solution.unknowns)
-
-
-@pytest.mark.parametrize("closure", ["spring", np.full(6, 1e-9)])
-def test_records_bring_the_closure_back(closure):
-    """Of a problem that an accuracy chose it for."""
-    problem = ContactProblem(dovetail(), LAWS, 600.0)
-    solution = solve(replace(problem, closure=closure, rho_tangential=np.full(6, 1e-5)))
-    back = restore(problem, strip(solution))
-    np.testing.assert_array_equal(back.problem.closure, closure)
-    np.testing.assert_array_equal(
-        back.history("admissible_friction_force"), solution.history("admissible_friction_force")
-    )
-
-
-def test_fingerprints_tell_problems_apart():
-    problem = ContactProblem(dovetail(), LAWS, 600.0)
-    assert fingerprint(problem) == fingerprint(ContactProblem(dovetail(), replace(LAWS), 600.0))
-    others = [replace(problem, frequency=600.1), replace(problem, wear=np.zeros(6)), replace(problem, harmonics=6)]
-    others.append(replace(problem, laws=replace(LAWS, friction=np.full(6, 0.3))))
-    assert len({fingerprint(p) for p in [problem, *others]}) == 5
 
 
 @pytest.mark.parametrize(

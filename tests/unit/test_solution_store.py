@@ -1,0 +1,34 @@
+"""Solutions taken apart and put together again; digests of what was stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.solution_store import fingerprint, restore, strip
+
+LAWS = ContactLaws(friction=0.3)
+
+
+@pytest.mark.parametrize("closure", ["spring", np.full(6, 1e-9)])
+def test_records_bring_the_closure_back(closure):
+    """Of a problem that an accuracy chose it for."""
+    problem = ContactProblem(dovetail(), LAWS, 600.0)
+    solution = solve(replace(problem, closure=closure, rho_tangential=np.full(6, 1e-5)))
+    back = restore(problem, strip(solution))
+    np.testing.assert_array_equal(back.problem.closure, closure)
+    np.testing.assert_array_equal(
+        back.history("admissible_friction_force"), solution.history("admissible_friction_force")
+    )
+
+
+def test_fingerprints_tell_problems_apart():
+    problem = ContactProblem(dovetail(), LAWS, 600.0)
+    assert fingerprint(problem) == fingerprint(ContactProblem(dovetail(), replace(LAWS), 600.0))
+    others = [replace(problem, frequency=600.1), replace(problem, wear=np.zeros(6)), replace(problem, harmonics=6)]
+    others.append(replace(problem, laws=replace(LAWS, friction=np.full(6, 0.3))))
+    assert len({fingerprint(p) for p in [problem, *others]}) == 5
