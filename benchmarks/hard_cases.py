@@ -81,6 +81,7 @@ class Outcome:
 
     ``status``: "converged", "not converged" (the solver said so), "given up" (the cap), or "wrong" (it said
     converged, or raised, where that is not so).
+    ``usual``: it was answered with the default weights, since no way led from these to those asked for.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Outcome:
     steps: int
     fallbacks: int
     seconds: float
+    usual: bool = False
 
 
 class CapReached(Exception):
@@ -162,7 +164,8 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
     try:
         problem = pose()
         begin, started = time.perf_counter(), time.process_time()
-        solution = solve(replace(problem), tolerance=TOLERANCE)
+        posed = replace(problem)
+        solution = solve(posed, tolerance=TOLERANCE)
     except NotConverged as error:
         best = error.best
         rungs = "; ".join(best.fallbacks)
@@ -181,7 +184,8 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
         HarmonicBalance.linearise = linearise
     seconds = time.perf_counter() - begin
     outcome = judge(solution)
-    return replace(tell(*outcome, fallbacks=len(solution.fallbacks)), steps=solution.iterations, seconds=seconds)
+    told = tell(*outcome, fallbacks=len(solution.fallbacks))
+    return replace(told, steps=solution.iterations, seconds=seconds, usual=solution.problem is not posed)
 
 
 def judge(solution) -> tuple[str, str, float]:
@@ -219,7 +223,10 @@ def run_all(task: Callable, arguments: Sequence, jobs: int) -> Iterator[Outcome]
 
 
 def count_up(outcomes: Sequence[Outcome]) -> list[object]:
-    """Cases, converged, its share, Newton steps (mean, median, max of those converged), fallbacks, seconds."""
+    """Cases, converged, its share, Newton steps (mean, median, max of those converged), fallbacks, seconds.
+
+    Of the fallbacks, those answered with the default weights in place of the asked ones are counted by themselves.
+    """
     solved = [o for o in outcomes if o.status == "converged"]
     steps = [o.steps for o in solved] or [0]
     times = [o.seconds for o in outcomes]
@@ -231,12 +238,13 @@ def count_up(outcomes: Sequence[Outcome]) -> list[object]:
         float(median(steps)),
         max(steps),
         sum(o.fallbacks > 0 for o in outcomes),
+        sum(o.usual for o in solved),
         float(mean(times)),
         max(times),
     ]
 
 
-HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "with fallbacks", "mean s", "max s"]
+HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "with fallbacks", "default weights", "mean s", "max s"]
 
 
 def tabulate(cases: Sequence[Case], outcomes: Sequence[Outcome]) -> dict[str, list[list[object]]]:

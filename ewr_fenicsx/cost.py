@@ -177,7 +177,8 @@ def survey(
             spent.append(time.process_time() - begin)
         errors = compare_figures(measure_figures(solution), reference)
         row = {"knob": setting.knob, "value": setting.value, "unknowns": solution.unknowns}
-        row |= {"steps": solution.iterations, "converged": solution.converged, "seconds": median(spent)}
+        solved = solution.converged and solution.problem is posed  # not with the default weights in place of its own
+        row |= {"steps": solution.iterations, "converged": solved, "seconds": median(spent)}
         rows.append(row | {"spread": [min(spent), max(spent)], "errors": errors})
         report(rows[-1])
     return rows

@@ -46,7 +46,7 @@ from ewr_fenicsx.whole_files import check_place, open_file, replace_file, write_
 
 BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"
-_FORMAT = "ewr_fenicsx frequency response, 3"
+_FORMAT = "ewr_fenicsx frequency response, 4"
 
 Laws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
 

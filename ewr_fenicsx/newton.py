@@ -55,9 +55,10 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
-    from the default weights to those asked for; from where a few periods of time stepping end; laws with rounded
-    corners that are sharpened along their branch; these through more sets of harmonics, with the oscillating load
-    traced from a small share to the whole, past folds; and that tracing by itself.
+    from the default weights to those asked for, or no further than the default ones where no way leads on; from where
+    a few periods of time stepping end; laws with rounded corners that are sharpened along their branch; these through
+    more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and that
+    tracing by itself.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -72,7 +73,8 @@ def solve(
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
-        The solution: motions, contact forces and figures of merit, and how it was found.
+        The solution: motions, contact forces and figures of merit, and how it was found. Its ``problem`` has the
+        default weights and closure where none was found with those given; ``fallbacks`` says so.
 
     Raises:
         ModelError: ``start`` is no solution or has another number of pairs, the tolerance is out of bounds, or there is
@@ -110,6 +112,8 @@ def solve(
             if attempts[-1].converged or attempts[-1].walks:
                 break
             best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
+    if attempts and attempts[-1].usual:
+        asked, problem = use_default_weights(asked), use_default_weights(problem)
     fell_back = tuple(tried) if len(tried) > 1 else ()
     end = time.perf_counter()
     solution = include_idle(wrap(problem, balance, attempts, fell_back, end - begin), asked)
@@ -146,7 +150,8 @@ def list_rungs(
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
     yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
     if has_own_weights(problem):
-        yield "from the default weights", lambda _: leave_default_weights(problem, balance, tolerance, linear_solver)
+        given = (problem, balance, start, tolerance, linear_solver)
+        yield "from the default weights", lambda _: leave_default_weights(*given)
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
@@ -264,21 +269,27 @@ def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
 
 
 def leave_default_weights(
-    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    start: PeriodicSolution | None,
+    tolerance: float,
+    linear_solver: LinearSolver,
 ) -> Attempt:
-    """Solve with the default weights, then follow the solution to the problem's own."""
+    """Solve with the default weights, then follow the solution to the problem's own; stay where that leads nowhere."""
     usual = use_default_weights(problem)
-    solution = solve(usual, tolerance=tolerance, linear_solver=linear_solver, raise_on_failure=False)
+    solution = solve(usual, start, tolerance, linear_solver=linear_solver, raise_on_failure=False)
     unknowns = balance.pack(solution.forces, solution.rigid)
     found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    guided = go_on_from(solution, balance, tolerance, linear_solver)
-    if guided.converged or problem.has_springs:  # no path leads from dashpots to springs
-        return replace(guided, iterations=found.iterations + guided.iterations)
-    walked = walk_weights(balance, tolerance, usual.system, found)
-    return replace(walked, iterations=walked.iterations + guided.iterations)
+    last = go_on_from(solution, balance, tolerance, linear_solver)
+    last = replace(last, iterations=found.iterations + last.iterations)
+    if not (last.converged or problem.has_springs):  # no path leads from dashpots to springs
+        last = walk_weights(balance, tolerance, usual.system, replace(found, iterations=last.iterations))
+    if last.converged:
+        return last
+    return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")
 
 
 def wrap(

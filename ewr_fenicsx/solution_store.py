@@ -15,17 +15,19 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
 _NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
-_TEXTS = ("reason", "fallbacks", "harmonics", "samples", "rho_tangential", "closure")
-_CHOSEN = ("harmonics", "samples", "rho_tangential", "closure")  # what an accuracy chooses, solution by solution
+_WEIGHTS = ("rho_normal", "rho_tangential", "closure")
+_CHOSEN = ("harmonics", "samples", *_WEIGHTS)  # solution by solution: by an accuracy, or in a fallback
+_TEXTS = ("reason", "fallbacks", *_CHOSEN)
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A ``PeriodicSolution`` without its problem, but for what an accuracy chooses of it; attributes as there."""
+    """A ``PeriodicSolution`` without its problem, but for what a solve may choose of it; attributes as there."""
 
     frequency: float
     harmonics: int | tuple[int, ...]
     samples: int | None
+    rho_normal: float | tuple[float, ...] | None
     rho_tangential: float | tuple[float, ...] | None
     closure: str | tuple[float, ...]
     forces: ComplexArray
@@ -51,7 +53,7 @@ def restore(problem: ContactProblem, record: Record) -> PeriodicSolution:
     """The solution that ``strip`` took apart, of ``problem`` with the harmonics, samples and weights that it had."""
     stated = {name: getattr(record, name) for name in _CHOSEN}
     if any(_as_numbers(getattr(problem, name)) != value for name, value in stated.items()):
-        for name in ("rho_tangential", "closure"):
+        for name in _WEIGHTS:
             stated[name] = np.array(stated[name]) if isinstance(stated[name], tuple) else stated[name]
         problem = replace(problem, **stated)
     kept = {f.name: getattr(record, f.name) for f in fields(Record) if f.name not in ("frequency", *_CHOSEN)}
@@ -108,8 +110,7 @@ def read_records(group: h5py.Group) -> list[Record]:
             frequency=float(arrays["frequency"][i]),
             harmonics=harmonics[i],
             samples=texts["samples"][i],
-            rho_tangential=_freeze(texts["rho_tangential"][i]),
-            closure=_freeze(texts["closure"][i]),
+            **{name: _freeze(texts[name][i]) for name in _WEIGHTS},
             forces=arrays["forces"][i, : harmonics[i] + 1 if isinstance(harmonics[i], int) else len(harmonics[i])],
             rigid=arrays["rigid"][i],
             converged=bool(arrays["converged"][i]),

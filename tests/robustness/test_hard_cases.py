@@ -14,6 +14,7 @@ import pytest
 from ewr_fenicsx import PeriodicSolution, newton, snes, solve, time_integration
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.solution_store import restore, strip
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -110,6 +111,19 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
     with pytest.raises(NotConverged, match="no periodic solution") as refused:
         solve(problem, usual, fallbacks=False)
     assert "Tried" not in str(refused.value)
+
+
+def test_where_nothing_leads_to_weights_far_off_the_default_ones_take_their_place():
+    """The answer says so, and is kept with the weights that it holds for."""
+    case = hard_cases.Case("dovetail", 0.85, ("reached", 1.0), 0.2, 5, 0.02, "closed", (1e-3, 1e-3))
+    problem = hard_cases.pose_case(case)
+    solution = solve(problem)
+    assert "from the default weights: solved with these only: " in solution.summary()
+    assert solution.problem.rho_normal is solution.problem.rho_tangential is None
+    usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
+    np.testing.assert_allclose(solution.forces, usual.forces, rtol=0, atol=1e-6 * np.abs(usual.forces).max())
+    assert hard_cases.judge(solution)[0] == hard_cases.judge(restore(problem, strip(solution)))[0] == "converged"
+    assert hard_cases.judge(replace(solution, problem=problem))[0] == "wrong"
 
 
 def test_pairs_about_to_stick_need_no_fallback():
