@@ -17,6 +17,7 @@ from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
+    COARSE_STEPS,
     FINE_LEVELS,
     LARGEST_TRACED,
     climb,
@@ -283,9 +284,10 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    last = go_on_from(solution, balance, tolerance, linear_solver)
+    last = go_on_from(solution, balance, tolerance, linear_solver, COARSE_STEPS)
     last = replace(last, iterations=found.iterations + last.iterations)
-    if not (last.converged or problem.has_springs):  # no path leads from dashpots to springs
+    joined = not problem.has_springs and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
+    if joined and not last.converged:
         last = walk_weights(balance, tolerance, usual.system, replace(found, iterations=last.iterations))
     if last.converged:
         return last

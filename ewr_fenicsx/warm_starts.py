@@ -36,12 +36,16 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
 
 
 def go_on_from(
-    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+    start: PeriodicSolution,
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int | None = None,
 ) -> Attempt:
-    """Newton from the solution of another problem on the same model."""
+    """Newton from the solution of another problem on the same model; ``limit``: as in ``run_newton``."""
     attempts, steps = [], 0
     for unknowns, near, taken in list_starts(start, balance, tolerance):
-        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, near=near))
+        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
         steps += attempts[-1].iterations + taken
         if attempts[-1].converged:
             break

@@ -98,10 +98,9 @@ def test_no_step_from_a_near_start_is_shortened(monkeypatch):
 def test_a_near_start_that_fails_is_tried_with_shortened_steps(monkeypatch):
     tried, original = [], snes.run_newton
 
-    def fail_first(balance, unknowns, *arguments, near=False):
+    def fail_first(balance, unknowns, tolerance, solver, limit, near):
         tried.append(near)
-        limit = (0,) if near else ()
-        return original(balance, unknowns, *arguments, *limit, near=near)
+        return original(balance, unknowns, tolerance, solver, 0 if near else limit, near=near)
 
     monkeypatch.setattr("ewr_fenicsx.warm_starts.run_newton", fail_first)
     start = solve(SLIPS)
