@@ -107,7 +107,7 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
                 found = _inspect_model(source)
             except MeshError as error:
                 failure = error
-            except Exception as error:
+            except (Exception, SystemExit) as error:  # a builder that ends this rank would leave the others waiting
                 failure = MeshError(f"{source}: {type(error).__name__}: {error}")
                 failure.__cause__ = error
         message, found = comm.bcast((str(failure) if failure else None, found))

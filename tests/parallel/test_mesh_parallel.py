@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from mesh_counts import count
 from mpi4py import MPI
+from small_scenes import SCENE
 
 from ewr_fenicsx.mesh import build_mesh
 
@@ -66,3 +67,12 @@ except MeshError as error:
     messages = json.loads((tmp_path / "messages.json").read_text())
     assert len(messages) == 2
     assert all(message.endswith('unknown parameter "lobe" = 2; did you mean "lobes"?') for message in messages)
+
+
+def test_a_builder_that_leaves_stops_both(mpirun, tmp_path):
+    """gmsh runs on rank 0 alone: were it gone, the other would wait for ever."""
+    (tmp_path / "leaving.py").write_text("import sys\n\n\ndef build():\n    sys.exit('no licence')\n")
+    (tmp_path / "scene.toml").write_text(SCENE.replace("builder.py", "leaving.py"))
+    run = mpirun(2, "ewr", "info", "scene.toml", timeout=60.0)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count("leaving.py: SystemExit: no licence") == 1
