@@ -111,7 +111,7 @@ def gmsh_model(name: str) -> Iterator[None]:
     Args:
         name: Of the model, which becomes the current one.
     """
-    running = _gmsh_is_running()
+    running = gmsh_is_running()
     if not running:
         # A program's own arguments are not gmsh's, a user's gmsh options must not change meshes, and Ctrl-C stays ours.
         newer = "interruptible" in inspect.signature(gmsh.initialize).parameters
@@ -123,7 +123,9 @@ def gmsh_model(name: str) -> Iterator[None]:
         gmsh.model.add(name)
         yield
     finally:
-        if not running:
+        if not gmsh_is_running():
+            pass  # what ran inside has ended it
+        elif not running:
             gmsh.finalize()
         else:
             for added in [model for model in gmsh.model.list() if model not in models]:
@@ -133,7 +135,8 @@ def gmsh_model(name: str) -> Iterator[None]:
             gmsh.option.setNumber("General.Terminal", loudness)
 
 
-def _gmsh_is_running() -> bool:
+def gmsh_is_running() -> bool:
+    """Whether gmsh has been started, and not stopped since."""
     if hasattr(gmsh, "isInitialized"):
         return bool(gmsh.isInitialized())
     try:  # gmsh 4.8 raises when stopped, but not before its first start: then it has no model, and later always one

@@ -140,6 +140,8 @@ def _fill_model(source: Path, parameters: Mapping[str, object]) -> None:
                 build(**parameters)
         except ValueError as error:
             raise MeshError(f"{source}: {error}") from error
+    if not _compat.gmsh_is_running():
+        raise MeshError(f"{source}: `build` ends gmsh, and its mesh is lost; leave gmsh.finalize() out")
 
 
 @contextmanager

@@ -286,6 +286,12 @@ EMPTY_MESH = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNode
         ("demanding.py", "def build(*, size: float):\n    pass", r"demanding\.py: parameter size has no default"),
         ("rubbish.msh", "rubbish\n", r"rubbish\.msh: "),
         ("idle.py", "def build():\n    pass", r"idle\.py: the model has no mesh of surfaces; does the builder call"),
+        ("leaving.py", "import sys\ndef build():\n    sys.exit('no licence')", r"leaving\.py: SystemExit: no licence"),
+        (
+            "ended.py",
+            "import gmsh\ndef build():\n    gmsh.finalize()",
+            r"ended\.py: `build` ends gmsh.*leave",
+        ),
         ("flat.msh", EMPTY_MESH, r"flat\.msh: the model has no mesh of surfaces; was it made by gmsh -2\?"),
     ],
 )
