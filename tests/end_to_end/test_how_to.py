@@ -64,6 +64,21 @@ def test_matrices_of_another_code_give_the_motion_of_the_scene(exported, blocks,
     assert found.merit["largest_normal_force"] == pytest.approx(expected.merit["largest_normal_force"], rel=1e-2)
 
 
+def test_a_joint_of_one_pair_is_read(tmp_path, monkeypatch):
+    """One row of a file is a table as well: two masses on springs, pressed together by 10 N."""
+    monkeypatch.chdir(tmp_path)
+    scipy.io.mmwrite("M.mtx", scipy.sparse.identity(80, format="coo"))
+    scipy.io.mmwrite("K.mtx", scipy.sparse.diags(1e8 * (1 + np.arange(80))).tocoo())
+    Path("pairs.csv").write_text("a, b, n_x, n_y, area\n0, 2, 0.0, -1.0, 1e-4\n")
+    loads = np.zeros((80, 3))
+    loads[1, 0], loads[0, 1], loads[0, 2] = -10.0, 1.0, 1.0
+    np.savetxt("loads.csv", loads, delimiter=",", header="static, shaking, followed")
+    names: dict = {}
+    exec(compile(SCRIPT, "docs/how_to.md", "exec"), names)
+    # the spring of the other mass, of 4e8 N/m, takes 4/6 of the push
+    assert names["solution"].history("normal_force").mean() == pytest.approx(10 * 4 / 6, rel=1e-6)
+
+
 @pytest.mark.parametrize("halves", ["one triangle", "both triangles"])
 def test_abaqus_matrices_are_read(halves, tmp_path):
     rng = np.random.default_rng(1)
