@@ -96,7 +96,8 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
 
     Raises:
         MeshError: On every rank: no such file; an unknown, missing or wrong parameter; a builder that fails; no named
-            body; cells of more than one type, outside all bodies, in two bodies or inverted; a boundary off the bodies.
+            body; cells of more than one type, outside all bodies, in two bodies or inverted; a boundary off the bodies;
+            a rank without cells.
     """
     source, failure, found = Path(source), None, None
     with ExitStack() as opened:
@@ -114,6 +115,10 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
         if message is not None:
             raise failure or MeshError(message)
         domain, cell_tags, facet_tags = _compat.distribute_gmsh_model(comm, found.dimension)
+    cells = domain.topology.index_map(found.dimension)
+    if comm.allreduce(cells.size_local, op=MPI.MIN) == 0:
+        few = f"{cells.size_global} cells leave one of {comm.size} ranks with none"
+        raise MeshError(f"{source}: {few}; take fewer ranks")
     return JointMesh(domain, cell_tags, facet_tags, found.bodies, found.boundaries, found.smallest_scaled_jacobian)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from mesh_counts import count
 from mpi4py import MPI
-from small_scenes import SCENE
+from small_scenes import SCENE, write_blocks
 
 from ewr_fenicsx.mesh import build_mesh
 
@@ -76,3 +76,11 @@ def test_a_builder_that_leaves_stops_both(mpirun, tmp_path):
     run = mpirun(2, "ewr", "info", "scene.toml", timeout=60.0)
     assert run.returncode == 2, run.stderr
     assert run.stderr.count("leaving.py: SystemExit: no licence") == 1
+
+
+def test_a_mesh_too_small_for_its_ranks_is_refused(mpirun, tmp_path):
+    """Four cells on five ranks: PETSc crashes on a rank without any."""
+    (tmp_path / "scene.toml").write_text(write_blocks(parameters="columns = 2, blade_rows = 1, disk_rows = 1"))
+    run = mpirun(5, "ewr", "info", "scene.toml", timeout=60.0)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count("4 cells leave one of 5 ranks with none; take fewer ranks") == 1
