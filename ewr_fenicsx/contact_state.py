@@ -18,6 +18,14 @@ def list_histories(solution: PeriodicSolution) -> tuple[str, ...]:
     return tuple(name for name in solution.histories if name in called)
 
 
+def find_pairs_with(solution: PeriodicSolution, name: str) -> np.ndarray:
+    """``(K_c,)`` at which pairs a history means something: where a law calls for it."""
+    found = np.zeros(solution.problem.model.pairs, dtype=bool)
+    for pairs, laws in solution.problem.groups:
+        found[pairs] = any(name in kind.histories for kind in laws.kinds)
+    return found
+
+
 def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
     """Names of the figures of merit that the laws of a solution call for; the others are zero by construction."""
     histories = list_histories(solution)

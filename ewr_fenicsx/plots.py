@@ -6,7 +6,7 @@ draws; the other ranks only take part in the gathering.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from matplotlib.tri import Triangulation
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.chain import Chain
-from ewr_fenicsx.contact_state import list_histories, sample_friction_limit
+from ewr_fenicsx.contact_state import find_pairs_with, list_histories, sample_friction_limit
 from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.reduced_model import RealArray
@@ -45,6 +45,7 @@ FLANK_COLOURS = (  # enough for fir trees of six lobes
     *("#8c564b", "#00b3b3", "#e377c2", "#a3a300", "#1b1b6b", "#ff9d8a"),
 )
 INK = "#222222"
+EXACT = "exact set"
 
 
 def draw_mesh(path: Path, chain: Chain) -> None:
@@ -158,7 +159,7 @@ def draw_mode(path: Path, chain: Chain) -> None:
 
 
 def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
-    """Forces and motions of every pair over the period, a column for each flank."""
+    """Forces and motions over the period, a column for each flank, of the pairs whose laws know of them."""
     rows = [
         (name, label, factor)
         for name, label, factor in (
@@ -176,10 +177,10 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
     grid = figure.subplots(len(rows), columns, sharex=True, sharey="row", squeeze=False)
     phase = np.arange(SAMPLES) / SAMPLES
     for line, (name, label, factor) in zip(grid, rows, strict=True):
-        history = factor * solution.history(name, SAMPLES)
+        knows = find_pairs_with(solution, name)
+        history = factor * solution.history(name, SAMPLES) * knows
         for k, axes in enumerate(line):
-            mine = np.flatnonzero(interface.flank_of_pair == k)
-            for place, pair in zip(_along(mine), mine, strict=True):
+            for place, pair in _along(interface, k, knows):
                 axes.plot(phase, history[:, pair], color=_COLOURS.to_rgba(place), linewidth=1.0)
             axes.axhline(0.0, color=INK, linewidth=0.5)
         line[0].set_ylabel(label)
@@ -198,25 +199,26 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     """Where pairs stand with respect to the exact sets of Signorini (above) and Coulomb (below), flank by flank.
 
     Friction is in units of its momentary limit ``mu lam_N``, drawn where the limit exceeds a twentieth of its largest
-    value (at lift-off the quotient means nothing), and as far as twice the limit.
+    value (at lift-off the quotient means nothing), and as far as twice the limit. Flanks without the law stay empty.
     """
-    known = list_histories(solution)
-    rows = {}  # title of the two axes -> what to draw, its exact set, least extent across
+    rows = {}  # title of the two axes -> what to draw, where it is shown, which pairs have the law, and its exact set
     normal = solution.history("normal_force", SAMPLES)
-    if "gap" in known:
-        gap = 1e6 * solution.history("gap", SAMPLES)
-        corner = [(0, 1.1 * normal.max()), (0, 0), (1.1 * max(gap.max(), LEAST["gap"]), 0)]
-        rows["gap [µm]", "normal force [N]"] = gap, normal, np.full(normal.shape, True), corner
-    if "admissible_friction_force" in known:
+    parts, rubs = (find_pairs_with(solution, name) for name in ("gap", "admissible_friction_force"))
+    if np.any(parts):
+        gap, most = 1e6 * solution.history("gap", SAMPLES), 1.1 * normal[:, parts].max()
+        corner = [(0, most), (0, 0), (1.1 * max(gap[:, parts].max(), LEAST["gap"]), 0)]
+        rows["gap [µm]", "normal force [N]"] = gap, normal, np.full(normal.shape, True), parts, corner
+    if np.any(rubs):
         limit = sample_friction_limit(solution, SAMPLES)
         shown = limit > 0.05 * limit.max()
         share = solution.history("friction_force", SAMPLES) / np.where(shown, limit, 1.0)
         velocity = 1e3 * solution.history("slip_velocity", SAMPLES)
-        far = 1.1 * max(np.abs(velocity).max(), LEAST["slip_velocity"])
+        far = 1.1 * max(np.abs(velocity[:, rubs]).max(), LEAST["slip_velocity"])
         rows["slip velocity [mm/s]", "friction force / (µ normal force)"] = (
             velocity,
             share,
             shown,
+            rubs,
             [(-far, 1), (0, 1), (0, -1), (far, -1)],
         )
     if not rows:
@@ -224,25 +226,25 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     columns = len(interface.flanks)
     figure = Figure(figsize=(2.2 + 2.9 * columns, 0.9 + 3.0 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), columns, sharey="row", sharex="row", squeeze=False)
-    for line, ((across, along), (x, y, shown, exact)) in zip(grid, rows.items(), strict=True):
+    for line, ((across, along), (x, y, shown, knows, exact)) in zip(grid, rows.items(), strict=True):
         line[0].set_ylabel(along)
         for k, axes in enumerate(line):
-            axes.plot(
-                *np.transpose(exact), color=FLANK_COLOURS[0], linewidth=4.0, alpha=0.3, label="exact set", zorder=0.5
-            )
-            mine = np.flatnonzero(interface.flank_of_pair == k)
-            for place, pair in zip(_along(mine), mine, strict=True):
+            axes.set_xlabel(across)
+            if not np.any(knows[interface.flank_of_pair == k]):
+                axes.text(0.5, 0.5, "another law here", transform=axes.transAxes, ha="center", fontsize=8, color=INK)
+                continue
+            axes.plot(*np.transpose(exact), color=FLANK_COLOURS[0], linewidth=4.0, alpha=0.3, zorder=0.5, label=EXACT)
+            for place, pair in _along(interface, k, knows):
                 here = shown[:, pair]
                 axes.plot(
                     x[here, pair], y[here, pair], ".", color=_COLOURS.to_rgba(place), markersize=2.5, rasterized=True
                 )
-            axes.set_xlabel(across)
         line[0].locator_params(axis="x", nbins=4)  # for all of the row; more would overlap where extents are tiny
         if "friction" in along:
             line[0].set_ylim(-2, 2)
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
         axes.set_title(flank.replace("_", " "))
-    grid[0, 0].legend(loc="upper right", fontsize=8)
+    next(axes for axes in grid.flat if axes.lines).legend(loc="upper right", fontsize=8)
     figure.suptitle(_caption(solution))
     _place_key(figure, grid)
     figure.savefig(path, dpi=DPI)
@@ -304,9 +306,11 @@ def _cut_into_lines(breaks: Sequence[int], unstable: np.ndarray) -> list[tuple[s
 _COLOURS = ScalarMappable(Normalize(0.0, 1.0), "viridis")
 
 
-def _along(pairs: np.ndarray) -> RealArray:
-    """Places of a flank's pairs from one end (0) to the other (1)."""
-    return np.linspace(0.0, 1.0, len(pairs)) if len(pairs) > 1 else np.array([0.5])
+def _along(interface: Interface, flank: int, shown: np.ndarray) -> Iterator[tuple[float, int]]:
+    """Pairs of a flank that are shown, each after its place from one end (0) to the other (1)."""
+    mine = np.flatnonzero(interface.flank_of_pair == flank)
+    places = np.linspace(0.0, 1.0, len(mine)) if len(mine) > 1 else [0.5]
+    return ((place, pair) for place, pair in zip(places, mine, strict=True) if shown[pair])
 
 
 def _caption(solution: PeriodicSolution) -> str:

@@ -84,6 +84,25 @@ def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
         assert len(boxes) > 1 and not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
+def test_flanks_are_not_held_against_laws_that_they_do_not_have(tmp_path, monkeypatch):
+    """Under a given normal force bodies overlap by micrometres: that is no violation, and no scale for other gaps."""
+    text = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text += '[flanks.bottom_right]\nnormal = "prescribed"\nnormal_force = 80.0\n'
+    (tmp_path / "scene.toml").write_text(text + '[flanks.top_right]\ntangential = "frictionless"\n')
+    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    interface, solution, figures = study.chain.interface, study.solution, []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_contact_sets(tmp_path / "sets.png", interface, solution)
+    plots.draw_histories(tmp_path / "histories.png", interface, solution)
+    sets, histories = (np.array(figure.axes[:-1]).reshape(-1, 4) for figure in figures)
+    given, smooth = (interface.flanks.index(name) for name in ("bottom_right", "top_right"))
+    empty = np.zeros((2, 4), dtype=bool)
+    empty[0, given] = empty[1, smooth] = True
+    np.testing.assert_array_equal([[not axes.lines for axes in row] for row in sets], empty)
+    assert solution.history("gap")[:, interface.flank_of_pair == given].min() < -1e-6
+    assert sets[0, 0].get_xlim()[0] > -1.0 and histories[2, 0].get_ylim()[0] > -1.0, "in micrometres"
+
+
 def test_pictures_of_a_worn_joint_say_so(tmp_path, monkeypatch):
     """They are those of the last cycle, unlike the ones of the same scene without wear."""
     text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
