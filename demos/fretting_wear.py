@@ -162,7 +162,8 @@ def draw(path: Path, every, higher: dict, flanks: dict, outward: np.ndarray) -> 
     for axes, scaled in zip(grid[2], (False, True), strict=True):
         for mu, history in {0.2: every, **higher}.items():
             depth = history.depth[-1, pairs]
-            axes.plot(place, -depth / depth.mean() if scaled else -1e6 * np.maximum(depth, 1e-12), label=f"µ = {mu:g}")
+            mean = np.average(depth, weights=history.problem.model.pair_area[pairs])
+            axes.plot(place, -depth / mean if scaled else -1e6 * np.maximum(depth, 1e-12), label=f"µ = {mu:g}")
         axes.legend()
         axes.set_title("top left, over its mean depth" if scaled else "top left, by friction")
     grid[2, 0].set_yscale("symlog", linthresh=0.01)

@@ -38,7 +38,7 @@ class Study:
         solution: The one whose fields are written: the only one, a sweep's strongest, or the worn joint's.
         seconds: Time of each stage.
         curve: Of a sweep, frequencies and the rms of its first output (or J_T, or the work of the
-            loads); of wear, cycles and mean worn depth.
+            loads); of wear, cycles and mean worn depth, the volume over the area of all pairs.
         told: A few lines for people.
         write: Writes the study's own files into a folder; collective.
         facts: What decides whether to trust the run, for its summary: accuracy, breaks and gaps of a sweep, why wear
@@ -300,9 +300,10 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         if chain.mesh.domain.comm.rank:
             return
         history.write_csv(folder / "wear.csv")
+        on_flank = {flank: interface.flank_of_pair == k for k, flank in enumerate(interface.flanks)}
         depths = {
-            f"mean depth of {flank} [µm]": 1e6 * history.depth[:, interface.flank_of_pair == k].mean(axis=1)
-            for k, flank in enumerate(interface.flanks)
+            f"mean depth of {flank} [µm]": 1e6 * history.volume[:, mine].sum(axis=1) / interface.area[mine].sum()
+            for flank, mine in on_flank.items()
         }
         depths["deepest pair [µm]"] = 1e6 * history.depth.max(axis=1)
         draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
@@ -330,5 +331,5 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     first, last = history.solutions[0], history.solutions[-1]
     told += [f"  the first solve: {line}" for line in first.list_reservations()]
     facts["wear"] |= {"reservations_of_first_solve": first.list_reservations()}
-    course = history.cycles, history.depth.mean(axis=1)
+    course = history.cycles, history.total_volume / interface.area.sum()
     return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write, facts)

@@ -153,7 +153,7 @@ class WearHistory:
         columns = {
             "cycles": self.cycles,
             "deepest [m]": self.depth.max(axis=1),
-            "mean depth [m]": self.depth.mean(axis=1),
+            "mean depth [m]": self.total_volume / self.problem.model.pair_area.sum(),
             "volume [m^3]": self.total_volume,
         }
         figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]

@@ -160,4 +160,7 @@ def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
     assert list(shown) == ["mean depth of left [µm]", "mean depth of right [µm]", "deepest pair [µm]"]
     depth = 1e6 * study.solution.problem.wear
     assert shown["deepest pair [µm]"][-1] == pytest.approx(depth.max())
+    left = study.chain.interface.flank_of_pair == 0
+    mean = np.average(depth[left], weights=study.chain.interface.area[left])
+    assert shown["mean depth of left [µm]"][-1] == pytest.approx(mean), "end pairs have half the area of the others"
     assert shown["mean depth of left [µm]"][-1] < shown["deepest pair [µm]"][-1]

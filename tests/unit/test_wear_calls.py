@@ -28,6 +28,13 @@ def test_a_joint_that_cannot_wear_is_refused():
         evolve_wear(pose(), 5, -1.0)
 
 
+def test_the_mean_depth_is_the_volume_over_the_area():
+    """Pairs stand for areas of their own: at the ends of a flank for half of the others'."""
+    table = evolve_wear(pose(), 2, WEAR).table()
+    np.testing.assert_allclose(table["mean depth [m]"] * dovetail().pair_area.sum(), table["volume [m^3]"], rtol=1e-14)
+    assert table["volume [m^3]"][-1] > 0
+
+
 def test_nothing_wears_at_rest():
     at_rest = replace(pose(), frequency=0.0, load={0: dovetail().load[0]})
     with pytest.raises(ModelError, match="no pair can wear: frequency = 0 Hz"):
