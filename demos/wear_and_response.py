@@ -57,8 +57,8 @@ def main(
         for name, history in histories.items():
             assert history.stopped is None, name
             figures[name] = {
-                "J_T_um": np.round(1e6 * history.figure("J_T")[[0, -1]], 3).tolist(),
-                "rms_tip_mm": np.round(1e3 * history.figure("rms_tip")[[0, -1]], 4).tolist(),
+                "J_T_um": np.round(1e6 * history.figure("J_T")[[0, -1]], 6).tolist(),  # changes are told from these
+                "rms_tip_mm": np.round(1e3 * history.figure("rms_tip")[[0, -1]], 6).tolist(),
                 "deepest_um": round(1e6 * float(history.depth[-1].max()), 4),
                 "solves": history.solves,
             }
@@ -88,7 +88,7 @@ def compare(figures: dict, friction, frequencies) -> list:
     loudest_near = max(abs(change("rms_tip_mm", f, 0.2)) for f in near)
     loudest_far = max(abs(change("rms_tip_mm", f, 0.2)) for f in far)
     first = lambda what, f: figures[f"{f:g} Hz, mu = 0.2"][what][0]  # noqa: E731
-    at_first = ", ".join(f"{first('J_T_um', f):g} micrometres at {f:g} Hz" for f in frequencies)
+    at_first = ", ".join(f"{first('J_T_um', f):.3g} micrometres at {f:g} Hz" for f in frequencies)
     return [
         judge(
             "Near resonance sliding generally increases with wear, more so for higher friction.",

@@ -82,8 +82,10 @@ def test_fretting_wear(run_study):
 
 
 def test_wear_and_response_in_short(run_study):
-    few = {"friction": (0.2, 1.0), "frequencies": (500.0, 1000.0, 1500.0), "sweep": np.array([1000.0, 1050.0])}
-    run_study("wear_and_response", cycles=20, **few)
+    few = {"friction": (0.2, 0.6), "frequencies": (500.0, 1000.0, 1500.0), "sweep": np.array([1000.0, 1050.0])}
+    figures = run_study("wear_and_response", cycles=20, **few)
+    little = figures["1000 Hz, mu = 0.6"]["J_T_um"]
+    assert 0.004 < little[0] < 0.007 and round(little[0], 5) != round(little[0], 3), "digits enough for its change"
 
 
 @pytest.mark.slow
