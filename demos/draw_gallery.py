@@ -128,7 +128,7 @@ def draw_scene(name: str) -> str:
     figure.savefig(DOCS / "pictures" / f"gallery_{name}.png", dpi=80)
     said = [line.removeprefix("# ") for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
-    effects = [effect for effect in list_effects(scene, problem) if effect.on]
+    effects = [effect for effect in list_effects(scene, problem, flanks=chain.interface.flanks) if effect.on]
     table = "\n".join(f"| {e.name} | {e.unknowns or ''} | {e.why} |" for e in effects)
     return (
         f"## {scene.title}\n\n{' '.join(said)}\n\n![{scene.title}](pictures/gallery_{name}.png)\n\n"

@@ -153,7 +153,7 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         problem = pose_problem(scene, chain.reduction.model, chain.interface)
         counts = count(chain, problem)  # the mesh counts are collective
         seconds = read_times(folder, scene.model_dump(mode="json", by_alias=True))
-        effects = list(list_effects(scene, problem, seconds))
+        effects = list(list_effects(scene, problem, seconds, chain.interface.flanks))
     if comm.rank == 0:
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 160)  # a file has no width to wrap to
         console.print(scene.title or str(arguments.scene), style="bold", markup=False)

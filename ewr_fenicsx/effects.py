@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,11 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.scene import ForceLoad, RotationLoad, Scene
+from ewr_fenicsx.scene_joint import Contact
 from ewr_fenicsx.scene_sense import can_wear, laws_in_force, oscillating_loads
 from ewr_fenicsx.symmetry import find_idle_harmonics, leave_out_idle
 
+Joint = Mapping[str, Contact]  # key of the scene -> laws that hold there
 SOLVE = "solve"  # the stage of a run that the laws share, in proportion to their unknowns
 OF_STAGE = {"frequency sweep": "sweep", "wear": "wear"}  # effects with a stage of their own
 
@@ -39,7 +41,10 @@ class Effect:
 
 
 def list_effects(
-    scene: Scene, problem: ContactProblem | None = None, seconds: Mapping[str, float] | None = None
+    scene: Scene,
+    problem: ContactProblem | None = None,
+    seconds: Mapping[str, float] | None = None,
+    flanks: Sequence[str] | None = None,
 ) -> Iterator[Effect]:
     """The effects that a scene has and has not, in the order in which they enter the problem.
 
@@ -47,11 +52,12 @@ def list_effects(
         scene: The scene.
         problem: What it poses: with it, each effect tells its unknowns and rows.
         seconds: Time of each stage of an earlier run: with it, each effect tells its share.
+        flanks: All flanks of the joint: with them, ``[contact]`` counts only where it holds on one of them.
     """
     costs = count_costs(problem) if problem else {}
     total = sum(unknowns for unknowns, _ in costs.values())
     forget = lambda effect: replace(effect, unknowns=None) if leaves_choice(scene) else effect  # noqa: E731
-    for effect in _list_bare(scene, problem):
+    for effect in _list_bare(scene, problem, laws_in_force(scene, flanks)):
         if problem:
             unknowns, rows = costs.pop(effect.name, (0, 0))
             effect = replace(effect, unknowns=unknowns, rows=rows)
@@ -105,19 +111,17 @@ def _time(effect: Effect, seconds: Mapping[str, float] | None, total: int) -> Ef
     return effect
 
 
-def _list_bare(scene: Scene, problem: ContactProblem | None) -> Iterator[Effect]:
-    yield from _list_laws(scene)
+def _list_bare(scene: Scene, problem: ContactProblem | None, joint: Joint) -> Iterator[Effect]:
+    yield from _list_laws(scene, joint)
     if problem:
         rigid = problem.system.model.rigid_modes.shape[1]
         yield Effect("floating bodies", rigid > 0, f"{rigid} rigid-body motions that no support or bond holds")
     yield from _list_loads(scene)
     yield _tell_harmonics(scene, problem)
-    yield from _list_studies(scene)
+    yield from _list_studies(scene, joint)
 
 
-def _list_laws(scene: Scene) -> Iterator[Effect]:
-    joint = laws_in_force(scene)
-
+def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
     def by_law(name: str, law: str, kind: str, *, tell: str = "") -> Effect:
         """On where some part of the joint has the law; ``tell``: another entry of that part."""
         has = {where: laws for where, laws in joint.items() if getattr(laws, law) == kind}
@@ -163,7 +167,7 @@ def _tell_harmonics(scene: Scene, problem: ContactProblem | None) -> Effect:
     return Effect("odd harmonics only", all(h % 2 for h in scene.harmonics), f"harmonics {list(scene.harmonics)}")
 
 
-def _list_studies(scene: Scene) -> Iterator[Effect]:
+def _list_studies(scene: Scene, joint: Joint) -> Iterator[Effect]:
     frequencies, wear = scene.frequencies, scene.wear
     if len(frequencies) > 1:
         why = f"{len(frequencies)} frequencies, {frequencies[0]:g} to {frequencies[-1]:g} Hz"
@@ -172,6 +176,6 @@ def _list_studies(scene: Scene) -> Iterator[Effect]:
     yield Effect("frequency sweep", len(frequencies) > 1, why)
     why = "no [wear]"
     if wear:
-        where = ", ".join(where for where, laws in laws_in_force(scene).items() if can_wear(laws))
+        where = ", ".join(where for where, laws in joint.items() if can_wear(laws))
         why = f"wear.coefficient = {wear.coefficient:g} 1/Pa, {wear.cycles} cycles, on {where}"
     yield Effect("wear", wear is not None, why)

@@ -6,7 +6,7 @@ A contradiction is an error, a doubt a warning. Each says what the scene would m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ewr_fenicsx.errors import nearest
@@ -92,10 +92,16 @@ def oscillating_loads(scene: Scene) -> list[str]:
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
 
 
-def laws_in_force(scene: Scene) -> dict[str, Contact]:
-    """Where laws come from, as a key of the scene, and the joint's entries as they hold there."""
+def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str, Contact]:
+    """Where laws come from, as a key of the scene, and the joint's entries as they hold there.
+
+    Args:
+        scene: The scene.
+        flanks: All flanks of the joint, which the mesh knows; None: those that the scene lists, or any.
+    """
     own = {f"flanks.{name}": scene.laws_on(name) for name in scene.flanks}
-    covered = scene.contact.flanks is not None and set(scene.contact.flanks) <= set(scene.flanks)
+    flanks = scene.contact.flanks if flanks is None else flanks
+    covered = flanks is not None and set(flanks) <= set(scene.flanks)
     return own if covered else {"contact": scene.contact} | own
 
 

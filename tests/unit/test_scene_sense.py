@@ -314,6 +314,9 @@ def test_effects_of_mixed_scenes_say_where_they_come_from(read):
     assert effects["mixed flanks"].why == "[flanks.left], [flanks.top]"
     assert effects["wear"].on and effects["wear"].why.endswith("500 cycles, on contact, flanks.top")
     assert not effects["frequency sweep"].on
+    covered = {effect.name: effect for effect in list_effects(scene, flanks=("left", "top"))}
+    assert covered["friction"].why == 'flanks.top.tangential = "coulomb", friction = 0.5', "[contact] holds nowhere"
+    assert covered["wear"].why.endswith("500 cycles, on flanks.top")
     sweep = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 1000, points = 11 }\n")
     why = {e.name: e.why for e in list_effects(sweep) if e.on}["frequency sweep"]
     assert why == "11 frequencies, 900 to 1000 Hz"
