@@ -32,7 +32,7 @@ SAMPLES = 256
 
 # %%
 def draw_motion(axes, chain, solution):
-    """The bodies at the instant of their largest motion, magnified; pairs in the colour of what they do most then."""
+    """The bodies at the instant of their largest motion, magnified; pairs in red."""
     phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
     oscillating = np.where(np.array(solution.orders)[:, None] > 0, solution.coordinates, 0)
     frames = (phase @ oscillating).real
