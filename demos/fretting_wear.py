@@ -99,7 +99,7 @@ def compare(figures: dict, friction) -> list:
     }
     volumes = [figures[f"mu = {mu:g}: volume [mm³]"] for mu in (0.2, *friction)]
     listed = ", ".join(
-        f"{r:.3g} (mu = {mu:g})" if r < 1e3 else f"all at the edges (mu = {mu:g})" for mu, r in ratio.items()
+        f"{r:.3g} (mu = {mu:g})" if r < 1e3 else f"all at an edge (mu = {mu:g})" for mu, r in ratio.items()
     )
     return [
         judge(
@@ -122,7 +122,7 @@ def compare(figures: dict, friction) -> list:
             all(ratio[0.2] > ratio[mu] for mu in friction),
             f"Peripheral over central depth of the top left flank: {listed}. In micrometres the low-friction edges "
             f"are worn "
-            "more, in proportion to the centre less: where flanks mostly stick, they slip at the edges only.",
+            "more, in proportion to the centre less: where flanks mostly stick, they slip at their inner edge only.",
         ),
         judge(
             "The top surfaces, closer to the load, are more worn than the bottom ones.",
