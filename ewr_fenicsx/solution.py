@@ -366,7 +366,10 @@ class PeriodicSolution:
             f"{self.unknowns} unknowns, residual {self.residual:.1e}, {self.seconds:.2f} s"
         ]
         if not self.touches:
-            lines.append("  no pair ever touches: the bodies vibrate apart; are gaps in m, and does a load close them?")
+            told = "no pair ever touches: the bodies vibrate apart"
+            if not np.all(self.problem.opens):
+                told = "no pair that may part ever touches: the other pairs alone join the bodies"
+            lines.append(f"  {told}; are gaps in m, and does a load close them?")
         if self.left_out:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]

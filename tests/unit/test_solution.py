@@ -309,6 +309,13 @@ def test_bodies_that_never_touch_are_told(gap, touches):
     assert touches or solution.cautions == (), "forces that are rounding pull no one"
 
 
+def test_bodies_that_other_pairs_join_are_not_said_to_vibrate_apart():
+    laws = [([0, 1, 2], ContactLaws("bonded", "bonded")), ([3, 4, 5], ContactLaws(initial_gap=1e-3))]
+    summary = solve(ContactProblem(dovetail(), laws, 600.0, 3)).summary()
+    assert "no pair that may part ever touches: the other pairs alone join the bodies;" in summary
+    assert "apart;" not in summary
+
+
 @pytest.mark.parametrize(
     "laws, wear, told",
     [
