@@ -171,8 +171,8 @@ class PeriodicSolution:
         """Speed of sliding at every pair over one period, along both tangents in 3-D, ``(samples, K_c)`` [m/s].
 
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
-        add up over a cycle to a distance that nothing slides. Where springs close the truncation, their ends slide: the
-        truncated slip lacks what the springs bend.
+        add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing.
+        Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend.
         """
         stride = self._find_stride(samples)
         basis = FourierBasis(self.orders, stride * samples)
