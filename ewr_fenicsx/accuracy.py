@@ -140,7 +140,7 @@ def solve_to_accuracy(
 
     Raises:
         ModelError: The accuracy is not between 0 and 1; a limit is no whole number from 1, or below a load's harmonic;
-            ``modes`` are no coordinates of the model.
+            ``modes`` are no coordinates of the model; ``figure`` is no function.
         NotConverged: Not even the first solve found a solution.
     """
     check_accuracy(accuracy)
@@ -149,6 +149,8 @@ def solve_to_accuracy(
     for name, count in (("first", first), ("highest", highest), ("most_unknowns", most_unknowns)):
         if not is_whole(count, 1):
             raise ModelError(f"{name} = {count!r}; give a whole number from 1")
+    if not (figure is None or callable(figure)):
+        raise ModelError(f"figure = {figure!r}; give a function of a solution that returns an array, or None")
     begin = time.perf_counter()
     loaded = [h for h, f in problem.excitation.items() if np.any(f)]
     if max(loaded, default=0) > highest:

@@ -63,6 +63,15 @@ class DynamicCompliance:
             amplitudes[0] += row[0, m + 1 :] @ rigid
         return amplitudes
 
+    def bound_output(self, name: str, forces: ComplexArray) -> RealArray:
+        """``(n_h,)`` what an output would reach, rigid motion aside, if no forces ``(n_h, m)`` and loads cancelled.
+
+        Raises:
+            KeyError: The model has no output of that name.
+        """
+        row, m = np.abs(self.outputs[name]), forces.shape[1]
+        return np.einsum("hm,hm->h", row[:, :m], np.abs(forces)) + row[:, m]
+
 
 def condense(
     model: ReducedModel,

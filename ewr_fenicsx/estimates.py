@@ -39,7 +39,7 @@ LEAST_SAMPLES = 64
 MODES_DROPPED = 1 / 3
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
-AT_REST = 1e-9  # share of what loads would move without contact, below which what moves is what cancelled
+AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 CLEAR = 4.0  # one step's estimate over the accuracy, above which no second one is needed
 
 
@@ -103,6 +103,13 @@ def read_response(
     return response if problem.model.outputs else response.reshape(-1, 1)
 
 
+def bound_response(solution: PeriodicSolution) -> RealArray | float:
+    """``(p,)`` norms of the outputs' oscillations if no contact forces and loads cancelled; 0 without outputs."""
+    compliance, above = solution.problem.system.compliance, np.array(solution.orders) > 0
+    bounds = [compliance.bound_output(name, solution.forces)[above] for name in solution.problem.model.outputs]
+    return np.linalg.norm(bounds, axis=1) if bounds else 0.0
+
+
 def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure: Figure | None = None) -> float:
     """Relative distance of the outputs' oscillations of two solutions with the same outputs; phase counts.
 
@@ -112,8 +119,7 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure
     """
     orders = sorted({*solution.orders, *other.orders})
     here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
-    unhindered = read_response(other.problem, np.zeros_like(other.forces), np.zeros_like(other.rigid), orders)
-    distance = compare_responses(here, there, AT_REST * np.linalg.norm(unhindered, axis=0))
+    distance = compare_responses(here, there, AT_REST * bound_response(other))
     if figure is None:
         return distance
     here, there = figure(solution), figure(other)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import write_blocks
 
 from ewr_fenicsx import cost_report, solve, solve_to_accuracy
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -46,6 +47,22 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+
+
+def test_an_output_that_symmetry_keeps_at_rest_does_not_count(tmp_path):
+    """What cancels there leaves rounding; compared with itself it asked for ever more harmonics."""
+    across = '[outputs.across]\nboundary = "tip"\ndirection = [0.0, 1.0]\n[contact]\nfriction = 0.3'
+    scene, estimates = tmp_path / "scene.toml", []
+    for more in ("", across):
+        mesh = "disk_rows = 8, columns = 8"
+        scene.write_text(write_blocks(more, parameters=mesh, shake=100.0, frequency=900.0), encoding="utf-8")
+        chain = build_chain(load_scene(scene))
+        found = solve_to_accuracy(pose_problem(chain.scene, chain.reduction.model, chain.interface), 0.05)
+        assert found.reached and len(found.levels) == 1
+        estimates.append(found.estimate.total)
+    moved = [np.linalg.norm(found.solution.output(name)[1:]) for name in ("tip", "across")]
+    assert 0 < moved[1] < 1e-9 * moved[0]
+    assert 0 < estimates[1] < 1.1 * estimates[0] < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -254,6 +254,12 @@ def test_what_sticks_throughout_is_exact():
     assert found.reached and found.estimate.total == 0.0 and len(found.levels) == 1
 
 
+@pytest.mark.parametrize("figure", ["J_T", 3])
+def test_a_figure_that_is_no_function_is_refused(figure):
+    with pytest.raises(ModelError, match=f"figure = {figure!r}; give a function of a solution that returns an array"):
+        solve_to_accuracy(rub_and_lift_off(), 0.1, figure=figure)
+
+
 def test_an_output_that_begins_to_move_is_compared():
     here, there = np.array([[1.0, 0.1]]), np.array([[1.0, 0.0]])
     assert compare_responses(here, there, rest=1e-3) > 1e6
