@@ -56,10 +56,10 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
-    from the default weights to those asked for, or no further than the default ones where no way leads on; from where
-    a few periods of time stepping end; laws with rounded corners that are sharpened along their branch; these through
-    more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and that
-    tracing by itself.
+    from where a few periods of time stepping end; laws with rounded corners that are sharpened along their branch;
+    these through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds;
+    and that tracing by itself. Weights of one's own that the first climb does not find are come to from a solution with
+    the default ones, which takes all these rungs and is the answer itself where no way leads on.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -153,6 +153,7 @@ def list_rungs(
     if has_own_weights(problem):
         given = (problem, balance, start, tolerance, linear_solver)
         yield "from the default weights", lambda _: leave_default_weights(*given)
+        return  # which took all rungs there are with these
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
@@ -171,9 +172,8 @@ def list_remedies(problem: ContactProblem, residual: float) -> str:
             f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
             "this; or allow a larger tolerance"
         )
-    weights = "the default weights, " if has_own_weights(problem) else ""
     return (
-        f". Try {weights}fewer harmonics, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
+        ". Try fewer harmonics, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
         "more damping; integrate(problem) shows whether the motion becomes periodic at all"
     )
 
