@@ -150,7 +150,9 @@ def count_calls() -> Iterator[Counter]:
     """Counts SNES objects, law evaluations and climbs of the ladder while it is open."""
     import ewr_fenicsx.newton as newton
     import ewr_fenicsx.snes as snes
-    from ewr_fenicsx.contact_laws import Bond, Coulomb, Signorini
+    from ewr_fenicsx.bonded import Bond
+    from ewr_fenicsx.coulomb import Coulomb
+    from ewr_fenicsx.unilateral import Signorini
 
     counts: Counter = Counter()
 

@@ -23,7 +23,8 @@ from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_laws import Coulomb, Signorini
+from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.unilateral import Signorini
 
 TARGETS = {5: {"warm": 2.0, "cold": 8.0}, 15: {"warm": 0.5, "cold": 4.0}}
 

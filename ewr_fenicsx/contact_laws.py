@@ -12,41 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ewr_fenicsx.bonded import Bond
-from ewr_fenicsx.coulomb import Coulomb, project_on_cone
+from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register their kinds
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import read_numbers
-from ewr_fenicsx.law_kinds import (
-    ComplexArray,
-    Law,
-    LawKind,
-    Motion,
-    Partial,
-    RealArray,
-    Response,
-    find_kind,
-    list_parameters,
-    register_law,
-    spread_over_pairs,
-)
+from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
+from ewr_fenicsx.law_kinds import LawKind, find_kind, list_parameters
 from ewr_fenicsx.prescribed import Prescribed
-from ewr_fenicsx.unilateral import Signorini
-
-__all__ = [
-    "Bond",
-    "ContactLaws",
-    "Coulomb",
-    "Law",
-    "LawKind",
-    "Motion",
-    "Partial",
-    "Prescribed",
-    "Response",
-    "Signorini",
-    "project_on_cone",
-    "register_law",
-    "spread_over_pairs",
-]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from ewr_fenicsx.contact_laws import Bond, Coulomb, Motion, Signorini, project_on_cone
+from ewr_fenicsx.bonded import Bond
+from ewr_fenicsx.coulomb import Coulomb, project_on_cone
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.law_kinds import Motion
+from ewr_fenicsx.unilateral import Signorini
 
 finite = st.floats(-1e3, 1e3, allow_nan=False)
 positive = st.floats(1e-3, 1e3)

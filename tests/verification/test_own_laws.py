@@ -24,8 +24,8 @@ from test_jenkins import AMPLITUDES, LIMIT, SPRING, SUPPORT, drive, exact_force,
 import ewr_fenicsx
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_laws import Coulomb
 from ewr_fenicsx.contact_state import SLIP, STICK, classify_contact, list_histories
+from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
 from ewr_fenicsx.reduced_model import hold
