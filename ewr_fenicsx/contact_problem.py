@@ -22,7 +22,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, check_given_force, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
-from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out, row_of
+from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
 from ewr_fenicsx.statics import find_holding
 
@@ -268,7 +268,7 @@ class ContactSystem:
 
     def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
-        return row_of(self.layout.index, direction, pairs)
+        return self.layout.row_of(direction, pairs)
 
     def restrict(self, orders: tuple[int, ...]) -> ContactSystem:
         """The same system with fewer harmonics; nothing is computed anew."""
@@ -366,7 +366,7 @@ def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance
     K, r = problem.model.pairs, compliance.rigid_load.size
     motion = np.zeros((1 + max(1, problem.model.tangents), K, r))
     for seen, direction in zip(motion, DIRECTIONS, strict=False):
-        rows = row_of(layout.index, direction, np.arange(K))
+        rows = layout.row_of(direction, np.arange(K))
         seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
     smallest, largest, friction, rubs = np.zeros((4, K))
     for pairs, laws in problem.groups:

@@ -69,10 +69,9 @@ class Layout:
     flexibility: RealArray
     mobility: RealArray
 
-
-def row_of(index: Mapping[str, np.ndarray], direction: str, pairs: np.ndarray) -> np.ndarray:
-    """Row of each of ``pairs`` in a direction, -1 where it has none."""
-    return index[direction][pairs] if direction in index else np.full(pairs.size, -1)
+    def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
+        """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
+        return self.index[direction][pairs] if direction in self.index else np.full(pairs.size, -1)
 
 
 @lru_cache(maxsize=16)
