@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from numbers import Real
 from reprlib import repr as shorten
 from typing import get_args
@@ -374,24 +374,4 @@ def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    keys = (motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
-    return _find_holding(*(_Frozen(key) for key in keys)) == "friction"
-
-
-class _Frozen:
-    """An array as a key of a cache."""
-
-    def __init__(self, array: np.ndarray):
-        self.array = array
-        self.bytes = array.tobytes()
-
-    def __hash__(self) -> int:
-        return hash(self.bytes)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Frozen) and self.bytes == other.bytes
-
-
-@lru_cache(maxsize=64)
-def _find_holding(*keys: _Frozen) -> str:
-    return find_holding(*(key.array for key in keys))
+    return find_holding(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs) == "friction"

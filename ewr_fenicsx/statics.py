@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -27,7 +28,8 @@ def find_holding(
     """What holds the floating bodies: normal forces alone, or friction as well.
 
     A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
-    With two tangents a polygon stands for the disk ``|lam_T|``.
+    With two tangents a polygon stands for the disk ``|lam_T|``. The last answers are remembered: every frequency of a
+    sweep and every cycle of wear asks the same.
 
     Args:
         normal_motion: ``(K, r)`` motion of the normal rows by the rigid modes.
@@ -41,6 +43,14 @@ def find_holding(
     Raises:
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens most.
     """
+    arrays = normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit
+    return _find_holding(*((array.tobytes(), array.shape) for array in arrays))
+
+
+@lru_cache(maxsize=64)
+def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "friction"]:
+    arrays = (np.frombuffer(numbers).reshape(shape) for numbers, shape in packed)
+    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = arrays
     r = rigid_load.size
     sees_all = np.linalg.matrix_rank(normal_motion, tol=1e-9 * np.abs(normal_motion).max(initial=1e-300)) == r
     bounds = list(zip(smallest, largest, strict=True))
