@@ -20,7 +20,7 @@ from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, conden
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
-from ewr_fenicsx.harmonics import FourierBasis, check_given_force, select_basis
+from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
@@ -288,12 +288,13 @@ def compose(problem: ContactProblem) -> ContactSystem:
     """Build the system of a problem.
 
     Raises:
-        ModelError: A law needs contact rows that the model lacks, or a row that nothing can move.
+        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, or a given normal force
+            at harmonics that the problem does without.
         UnheldBody: Contact cannot hold a floating body under its mean load.
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    check_given_force(problem.given_force, basis, problem.frequency, model.normal is not None)
+    check_given_force(problem)
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
@@ -311,6 +312,26 @@ def compose(problem: ContactProblem) -> ContactSystem:
         basis=basis,
         compliance=compliance,
     )
+
+
+def check_given_force(problem: ContactProblem) -> None:
+    """Refuses harmonics of given normal forces that the problem does without.
+
+    A force that does not act on the model is but a limit of friction, which is seen at the samples.
+
+    Raises:
+        ModelError: A harmonic is not kept, or too high for the samples.
+    """
+    basis, moves = problem.basis, problem.model.normal is not None
+    for h in (h for h, amplitude in problem.given_force.items() if np.any(amplitude)):
+        if h not in basis.orders and (moves or not problem.frequency):
+            remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
+            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
+        if 2 * h >= basis.samples and h:
+            raise ModelError(
+                f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
+                f"from a lower one; give at least {2 * h + 1}"
+            )
 
 
 def build_laws(

@@ -185,26 +185,3 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
             f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}"
         )
     return FourierBasis(tuple(int(h) for h in orders), int(samples))
-
-
-def check_given_force(given: Mapping[int, ComplexArray], basis: FourierBasis, frequency: float, moves: bool) -> None:
-    """Refuses harmonics of a given normal force that a basis does without.
-
-    Args:
-        given: Harmonic -> ``(K,)`` amplitudes [N].
-        basis: The harmonics kept, and the samples.
-        frequency: [Hz].
-        moves: Whether the force acts on the model; else it is but a limit of friction, seen at the samples.
-
-    Raises:
-        ModelError: A harmonic is not kept, or too high for the samples.
-    """
-    for h in (h for h, amplitude in given.items() if np.any(amplitude)):
-        if h not in basis.orders and (moves or not frequency):
-            remedy = "add it to harmonics" if frequency else "give a positive frequency"
-            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
-        if 2 * h >= basis.samples and h:
-            raise ModelError(
-                f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
-                f"from a lower one; give at least {2 * h + 1}"
-            )
