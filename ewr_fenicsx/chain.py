@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx import elasticity, materials
 from ewr_fenicsx._compat import measure_compilation
-from ewr_fenicsx.contact_laws import ContactLaws
+from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
 from ewr_fenicsx.errors import SceneError, nearest
@@ -26,7 +26,6 @@ from ewr_fenicsx.scene import Material, ModalDamping, RayleighDamping, RotationL
 from ewr_fenicsx.scene_joint import Contact
 from ewr_fenicsx.scene_sense import can_wear, doubt_extent, doubt_modes
 
-Laws = ContactLaws | list[tuple[list[int], ContactLaws]]
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
 JIT = "JIT"  # compilation of forms and spaces
 SHOWN = 0.01  # seconds of it that are worth a line on the way
@@ -172,7 +171,7 @@ def pose_problem(
     )
 
 
-def lay_laws(scene: Scene, interface: Interface | None = None) -> Laws:
+def lay_laws(scene: Scene, interface: Interface | None = None) -> JointLaws:
     """The laws of a scene: one for all pairs, or by groups of pairs where flanks have their own.
 
     Raises:

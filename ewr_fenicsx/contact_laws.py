@@ -6,7 +6,7 @@ them here registers them; kinds of your own register themselves the same way (do
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
@@ -90,3 +90,6 @@ class ContactLaws:
                 f'normal = "{self.normal}", tangential = "{self.tangential}": {error}; give it in parameters={{...}}'
             ) from None
         return normal, tangential
+
+
+JointLaws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]  # for all pairs, or for groups of them

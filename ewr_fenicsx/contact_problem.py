@@ -17,7 +17,7 @@ import numpy as np
 
 from ewr_fenicsx.closure import Closure, find_springs
 from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
-from ewr_fenicsx.contact_laws import ContactLaws
+from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
@@ -58,7 +58,7 @@ class ContactProblem:
     """
 
     model: ReducedModel
-    laws: ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
+    laws: JointLaws
     frequency: float
     harmonics: int | Sequence[int] = 5
     samples: int | None = None

@@ -19,7 +19,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
-from ewr_fenicsx.contact_laws import ContactLaws
+from ewr_fenicsx.contact_laws import JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
@@ -47,8 +47,6 @@ from ewr_fenicsx.whole_files import check_place, open_file, replace_file, write_
 BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"
 _FORMAT = "ewr_fenicsx frequency response, 4"
-
-Laws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ class _Block:
 
 def frequency_response(
     model: ReducedModel,
-    laws: Laws | Mapping[object, Laws],
+    laws: JointLaws | Mapping[object, JointLaws],
     frequencies: Sequence[float],
     harmonics: int | Sequence[int] = 5,
     progress: bool = True,
