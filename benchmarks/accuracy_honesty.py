@@ -38,7 +38,7 @@ from ewr_fenicsx.accuracy import SAMPLES
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.errors import EwrError
-from ewr_fenicsx.estimates import choose_samples, compare_responses, match_mobility
+from ewr_fenicsx.estimates import choose_samples, compare_responses, use_mobility
 from ewr_fenicsx.scene import load_scene
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -153,7 +153,7 @@ def try_fixed(problem: ContactProblem, reference: np.ndarray, cap: float) -> lis
                 def run(n=n, density=density, weight=weight) -> PeriodicSolution:
                     posed = replace(problem, harmonics=n, samples=choose_samples(n, density))
                     if weight == "mobility":
-                        posed = replace(posed, rho_tangential=match_mobility(posed))
+                        posed = use_mobility(posed)
                     return solve(replace(posed, closure="spring") if weight == "springs" else posed)
 
                 try:

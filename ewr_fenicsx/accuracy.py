@@ -22,8 +22,8 @@ from ewr_fenicsx.estimates import (
     estimate_together,
     estimate_weight,
     holds_springs,
-    match_mobility,
     measure_distance,
+    use_mobility,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve
@@ -246,7 +246,7 @@ def pose_level(
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
     if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
-    posed = replace(posed, rho_tangential=match_mobility(posed))
+    posed = use_mobility(posed)
     sprung = replace(posed, closure="spring")
     return sprung if springs and top > FIRST_ORDER and holds_springs(sprung) else posed
 

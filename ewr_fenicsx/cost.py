@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.estimates import choose_samples, match_mobility, read_friction_weight
+from ewr_fenicsx.estimates import choose_samples, read_friction_weight, use_mobility
 from ewr_fenicsx.indicators import measure_cone_violation, measure_sliding
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -128,10 +128,10 @@ def list_settings(
     low = [n for n in orders if n <= HIGHEST_VARIANT]
     for n in low:
         posed = replace(usual, harmonics=n)
-        weight = match_mobility(posed) if n else None
-        if weight is not None:
-            settings.append(Setting("N, rho_T by mobility", n, replace(posed, rho_tangential=weight)))
-            lean = replace(posed, rho_tangential=weight, samples=choose_samples(n, 8.0))
+        if n and read_friction_weight(posed) is not None:
+            matched = use_mobility(posed)
+            settings.append(Setting("N, rho_T by mobility", n, matched))
+            lean = replace(matched, samples=choose_samples(n, 8.0))
             settings.append(Setting("N, rho_T by mobility, 8 N samples", n, lean))
             settings.append(Setting("N, springs", n, replace(posed, closure="spring")))
     odd = lambda n: tuple(h for h in range(n + 1) if h % 2 or h in problem.loads or h == 0)  # noqa: E731

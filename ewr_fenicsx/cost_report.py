@@ -13,7 +13,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import HIGHEST as SEEN
 from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
 from ewr_fenicsx.errors import SceneError
-from ewr_fenicsx.estimates import estimate_errors, match_mobility
+from ewr_fenicsx.estimates import estimate_errors, use_mobility
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
@@ -122,8 +122,7 @@ def time_run(chain: Chain) -> dict[str, float]:
 def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:
     """Figures of a harmonic solve of high order, its estimated error, its name and its highest harmonic."""
     highest = max(2 * loaded + 2, min(HIGHEST, MOST_UNKNOWNS // (2 * max(1, problem.system.rows.shape[0]))))
-    posed = replace(problem, harmonics=highest)
-    solution = solve(replace(posed, rho_tangential=match_mobility(posed)))
+    solution = solve(use_mobility(replace(problem, harmonics=highest)))
     return measure_figures(solution), estimate_errors(solution).total, f"harmonic balance, N = {highest}", highest
 
 

@@ -183,10 +183,7 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
     problem = replace(problem, harmonics=everything, samples=choose_samples(raised, density))
-    if not sprung:
-        return problem
-    damped = replace(problem, closure="dashpot")
-    return replace(damped, rho_tangential=match_mobility(damped))
+    return use_mobility(replace(problem, closure="dashpot")) if sprung else problem
 
 
 def choose_samples(highest: int, density: float) -> int:
@@ -289,6 +286,11 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
                 size = np.hypot(size, np.sqrt(2) * np.abs(between))
             weight[law.pairs] = np.exp(np.log(rate * size / np.sqrt(len(along))).mean(axis=0))
     return weight
+
+
+def use_mobility(problem: ContactProblem) -> ContactProblem:
+    """The problem with the weights of ``match_mobility``."""
+    return replace(problem, rho_tangential=match_mobility(problem))
 
 
 def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:
