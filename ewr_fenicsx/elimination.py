@@ -124,8 +124,8 @@ class Elimination:
         if c.size == 0:
             return cls(balance, derivatives, shift, c, mixed, reaction, offset, rigid)
         right = basis.to_amplitudes(load)[:, c]
-        for batch in cls._batches(balance, c):
-            A, toward_rigid = cls._gather(balance, derivatives, c, shift, batch)
+        for batch in _cut_harmonics(balance, c):
+            A, toward_rigid = _gather(balance, derivatives, c, shift, batch)
             known = np.concatenate([np.take(A, mixed, axis=2), right[batch, :, None], toward_rigid], axis=2)
             solved = np.linalg.solve(np.take(A, c, axis=2), known)
             reaction[batch], offset[batch] = solved[:, :, : mixed.size], solved[:, :, mixed.size]
@@ -136,56 +136,12 @@ class Elimination:
     @cached_property
     def inverse(self) -> ComplexArray:
         """``(n_h, c, c)`` of the steady block at each harmonic; only computed for a second right side."""
-        parts = (
-            np.linalg.inv(
-                self._gather(self.balance, self.derivatives, self.steady, self.shift, batch)[0][:, :, self.steady]
-            )
-            for batch in self._batches(self.balance, self.steady)
-        )
-        return np.concatenate(list(parts))
+        return invert_steady(self.balance, self.derivatives, self.steady, self.shift)
 
     def find_offset(self, load: RealArray) -> ComplexArray:
         """Steady forces ``(n_h, c)`` by another right side ``(n_c, m)`` where the other unknowns are zero."""
         right = self.balance.basis.to_amplitudes(load)[:, self.steady]
         return np.matmul(self.inverse, right[:, :, None])[:, :, 0] if self.steady.size else right
-
-    @staticmethod
-    def _batches(balance: Equations, c: np.ndarray) -> Iterator[slice]:
-        """Harmonics that are eliminated at a time."""
-        step, n_h = max(1, BATCH // max(1, c.size * balance.rows)), len(balance.basis.orders)
-        return (slice(first, first + step) for first in range(0, n_h, step))
-
-    @staticmethod
-    def _gather(
-        balance: Equations, derivatives: Sequence[Derivative], c: np.ndarray, shift: RealArray | None, batch: slice
-    ) -> tuple[ComplexArray, ComplexArray]:
-        """Steady rows of J at a batch of harmonics, ``(b, c, m)``, and of the rigid coordinates, ``(b, c, r)``."""
-        H, rate = balance.compliance.flexibility[batch], balance.rate[batch]
-        mean = np.flatnonzero(np.array(balance.basis.orders[batch]) == 0)  # its place in the batch, if it is there
-        A = np.zeros((rate.size, c.size, balance.rows), dtype=complex)
-        toward_rigid = np.zeros((rate.size, c.size, balance.rigid), dtype=complex)
-        place, diagonal = np.full(balance.rows, -1), np.arange(c.size)
-        place[c] = diagonal
-        for d in derivatives:
-            pick = np.flatnonzero(place[d.rows] >= 0)
-            at, columns = place[d.rows[pick]], d.columns[pick]
-            value = np.outer(rate if d.by_rate else np.ones(rate.size), d.values[0, pick])
-            if d.by_force:
-                A[:, at, columns] += value
-                continue
-            if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
-                springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
-                value[mean] = springs if d.since is None else 0.0
-            A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
-            A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
-            toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
-        weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
-        A[mean] *= weight[:, None]
-        toward_rigid[mean] *= weight[:, None]
-        A[mean[:, None], diagonal, c] += balance.static_force_row[c]
-        if shift is not None:
-            A[:, diagonal, c] += shift[batch][:, c]
-        return A, toward_rigid
 
     def follow(self, by_force: bool, columns: np.ndarray) -> tuple[ComplexArray, ComplexArray, RealArray]:
         """Forces or motions at ``columns`` ``(K,)``: on the mixed forces, by themselves, and on the rigid coordinates.
@@ -224,3 +180,54 @@ class Elimination:
                 steady[0] -= self.rigid @ alpha
             coefficients[:, self.steady] = basis.to_coefficients(steady)
         return np.concatenate([coefficients[balance.unknown], alpha])
+
+
+def invert_steady(
+    balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, shift: RealArray | None = None
+) -> ComplexArray:
+    """``(n_h, c, c)`` inverse of J at each harmonic, for steady rows ``(c,)`` by themselves; ``shift`` is ``(n_h, m)``.
+
+    Raises:
+        LinAlgError: It is singular.
+    """
+    batches = _cut_harmonics(balance, steady)
+    blocks = (_gather(balance, derivatives, steady, shift, batch)[0][:, :, steady] for batch in batches)
+    return np.concatenate([np.linalg.inv(block) for block in blocks])
+
+
+def _cut_harmonics(balance: Equations, c: np.ndarray) -> Iterator[slice]:
+    """Harmonics that are eliminated at a time."""
+    step, n_h = max(1, BATCH // max(1, c.size * balance.rows)), len(balance.basis.orders)
+    return (slice(first, first + step) for first in range(0, n_h, step))
+
+
+def _gather(
+    balance: Equations, derivatives: Sequence[Derivative], c: np.ndarray, shift: RealArray | None, batch: slice
+) -> tuple[ComplexArray, ComplexArray]:
+    """Steady rows of J at a batch of harmonics, ``(b, c, m)``, and of the rigid coordinates, ``(b, c, r)``."""
+    H, rate = balance.compliance.flexibility[batch], balance.rate[batch]
+    mean = np.flatnonzero(np.array(balance.basis.orders[batch]) == 0)  # its place in the batch, if it is there
+    A = np.zeros((rate.size, c.size, balance.rows), dtype=complex)
+    toward_rigid = np.zeros((rate.size, c.size, balance.rigid), dtype=complex)
+    place, diagonal = np.full(balance.rows, -1), np.arange(c.size)
+    place[c] = diagonal
+    for d in derivatives:
+        pick = np.flatnonzero(place[d.rows] >= 0)
+        at, columns = place[d.rows[pick]], d.columns[pick]
+        value = np.outer(rate if d.by_rate else np.ones(rate.size), d.values[0, pick])
+        if d.by_force:
+            A[:, at, columns] += value
+            continue
+        if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
+            springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
+            value[mean] = springs if d.since is None else 0.0
+        A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
+        A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
+        toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
+    weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
+    A[mean] *= weight[:, None]
+    toward_rigid[mean] *= weight[:, None]
+    A[mean[:, None], diagonal, c] += balance.static_force_row[c]
+    if shift is not None:
+        A[:, diagonal, c] += shift[batch][:, c]
+    return A, toward_rigid

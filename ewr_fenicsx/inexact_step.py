@@ -14,7 +14,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.elimination import Elimination
+from ewr_fenicsx.elimination import invert_steady
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 from ewr_fenicsx.reduced_model import RealArray
@@ -71,8 +71,7 @@ class _Uncoupled:
         right = np.zeros(self.low.size)
         self.factors = Factorisation(NewtonStep(self.low, step.derivatives, right), right)
         mean = tuple(replace(d, values=d.values.mean(axis=0, keepdims=True)) for d in step.derivatives)
-        everything, nothing = np.ones(balance.rows, dtype=bool), np.zeros(self.high.unknown.shape)
-        self.each = Elimination.of(self.high, mean, everything, nothing)
+        self.inverse = invert_steady(self.high, mean, np.arange(balance.rows))
 
     def _restrict(self, orders: tuple[int, ...]) -> HarmonicBalance:
         balance = self.balance
@@ -86,7 +85,6 @@ class _Uncoupled:
         balance, low = self.balance, self.low
         right, rigid = balance.place(b.array_r), b.array_r[balance.size - balance.rigid :]
         solved = self.factors.solve(np.concatenate([right[: self.count][low.unknown], rigid]))
-        forces = np.concatenate(
-            [low.place(solved), self.high.basis.to_coefficients(self.each.find_offset(right[self.count :]))]
-        )
+        high = np.matmul(self.inverse, self.high.basis.to_amplitudes(right[self.count :])[:, :, None])[:, :, 0]
+        forces = np.concatenate([low.place(solved), self.high.basis.to_coefficients(high)])
         x.array[:] = np.concatenate([forces[balance.unknown], solved[low.size - low.rigid :]])
