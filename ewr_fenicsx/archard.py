@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.contact_state import OPEN, classify_contact
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -41,7 +41,8 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
     """
     problem, system = solution.problem, solution.problem.system
-    pairs = np.flatnonzero(_find_touching(solution) & problem.opens)  # load that leaves worn ones goes to the others
+    closes = np.any(classify_contact(solution, SAMPLES) != OPEN, axis=0)
+    pairs = np.flatnonzero(closes & problem.opens)  # load that leaves worn ones goes to the others
     decay = np.zeros((problem.model.pairs,) * 2)
     if not pairs.size or not system.basis.has_mean:
         return decay
@@ -55,15 +56,6 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     wears = weight > 0  # the others keep their depth, to the last digit
     decay[np.ix_(pairs[wears], pairs[wears])] = (weight[:, None] * stiffness)[np.ix_(wears, wears)]
     return decay
-
-
-def _find_touching(solution: PeriodicSolution) -> np.ndarray:
-    """``(K_c,)`` which pairs are ever closed; where the laws say so, for the force of an open pair is rounding."""
-    touches = solution.history("normal_force", SAMPLES).max(axis=0) > 0
-    for law, fields in solution.law_fields(FourierBasis(solution.orders, SAMPLES)):
-        if "open" in fields:
-            touches[law.pairs] = ~fields["open"].all(axis=0)
-    return touches
 
 
 def find_explicit_limit(decay: RealArray) -> float:
