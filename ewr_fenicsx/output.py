@@ -5,7 +5,6 @@ Fields are XDMF time series over one period, one field a file, at the nodes of t
 
 from __future__ import annotations
 
-import csv
 import errno
 import json
 import platform
@@ -31,6 +30,7 @@ from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, read_summary, result_folder
 from ewr_fenicsx.solution import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicSolution
+from ewr_fenicsx.whole_files import write_table
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
@@ -198,7 +198,9 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
     """Writes one row a pair: where it is, and its figures over the period."""
     histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
     state = classify_contact(solution, SAMPLES) if changes_state(solution) else None
-    columns: dict[str, RealArray] = {
+    columns = {
+        "pair": np.arange(len(interface.area)),
+        "flank": np.array(interface.flanks)[interface.flank_of_pair],
         "x [m]": interface.position[:, 0],
         "y [m]": interface.position[:, 1],
         "normal_x": interface.normal[:, 0],
@@ -220,11 +222,7 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
             columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
     for code, name in enumerate(("open", "stick", "slip") if changes_state(solution) else ()):
         columns[f"{name}_share"] = (state == code).mean(axis=0)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["pair", "flank", *columns])
-        for k, flank in enumerate(interface.flank_of_pair):
-            writer.writerow([k, interface.flanks[flank], *(repr(float(column[k])) for column in columns.values())])
+    write_table(path, columns)
 
 
 def summarise(chain: Chain, solution: PeriodicSolution) -> dict:

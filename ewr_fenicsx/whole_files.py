@@ -14,9 +14,9 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 
 import h5py
+import numpy as np
 
 from ewr_fenicsx.errors import OutputError, UnwritableFile
-from ewr_fenicsx.given import RealArray
 
 _UNWRITABLE = (UnwritableFile, "cannot be written", "give a place where files can be, or make room")
 
@@ -84,8 +84,8 @@ def _naming(path: Path, failure: tuple[type[OutputError], str, str]) -> Iterator
         raise kind(f"{path} {what}: {error.strerror or error}; {remedy}") from error
 
 
-def write_table(path: str | Path, columns: Mapping[str, RealArray]) -> None:
-    """Write columns ``(n,)`` as CSV with a header, floats to the last digit.
+def write_table(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Write columns ``(n,)`` of numbers or texts as CSV with a header, floats to the last digit.
 
     Raises:
         OutputError: The file cannot be written.
@@ -93,4 +93,4 @@ def write_table(path: str | Path, columns: Mapping[str, RealArray]) -> None:
     with _naming(Path(path), _UNWRITABLE), Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
-        writer.writerows([[repr(v.item()) for v in row] for row in zip(*columns.values(), strict=True)])
+        writer.writerows(zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
