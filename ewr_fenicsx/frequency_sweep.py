@@ -22,7 +22,7 @@ from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_state import list_figures
-from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
+from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import is_positive, read_numbers
 from ewr_fenicsx.newton import solve
@@ -30,23 +30,14 @@ from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
 from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import (
-    Record,
-    fingerprint,
-    gather_output,
-    list_orders,
-    read_records,
-    restore,
-    strip,
-    write_records,
-)
+from ewr_fenicsx.solution_store import Record, fingerprint, gather_output, list_orders, restore, strip, write_records
+from ewr_fenicsx.sweep_store import FORMAT, Block, BlockStore
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
-from ewr_fenicsx.whole_files import check_place, open_file, replace_file, write_table
+from ewr_fenicsx.whole_files import check_place, replace_file, write_table
 
 BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"
-_FORMAT = "ewr_fenicsx frequency response, 4"
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,15 +158,6 @@ def _read_frequencies(given: float | Sequence[float]) -> tuple[float, ...]:
     return tuple(frequencies.tolist())
 
 
-@dataclass(frozen=True)
-class _Block:
-    """A task: follow one curve from the first of some frequencies to the last."""
-
-    label: object
-    number: int
-    frequencies: tuple[float, ...]
-
-
 def frequency_response(
     model: ReducedModel,
     laws: JointLaws | Mapping[object, JointLaws],
@@ -231,45 +213,44 @@ def frequency_response(
 
     asked = {label: replace(common, laws=own) for label, own in family.items()}  # what makes no sense is told here
 
-    def make_follower(label: object) -> Follower:
-        posed = leave_out_idle(asked[label])
+    def make_follower(problem: ContactProblem) -> Follower:
+        posed = leave_out_idle(problem)
         problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
         return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
 
-    followers = {label: make_follower(label) for label in family}
+    followers = [make_follower(problem) for problem in asked.values()]
     cuts = [*range(0, max(1, len(targets) - 1), BLOCK)]
     pieces = [targets[i : i + BLOCK + 1] for i in cuts]
-    blocks = [_Block(label, n, piece) for label in family for n, piece in enumerate(pieces)]
+    blocks = [Block(k, n, piece) for k in range(len(followers)) for n, piece in enumerate(pieces)]
     store = None
     if folder is not None:
-        do_together(lambda: [check_place(Path(folder) / name) for name in (_RESULTS, "blocks/000_0000.h5")], comm)
-        stated = fingerprint(_FORMAT, common, family, targets, refine, tolerance)
-        store = _BlockStore(Path(folder) / "blocks", stated, list(family))
+        store = BlockStore(Path(folder), fingerprint(FORMAT, common, family, targets, refine, tolerance))
+        do_together(lambda: [check_place(p) for p in (store.folder / _RESULTS, store.find_path(blocks[0]))], comm)
 
-    def work(block: _Block) -> tuple[list[Record], list[Jump]]:
+    def work(block: Block) -> tuple[list[Record], list[Jump]]:
         known = store.read(block) if store else None
-        return known or _solve_block(followers[block.label], block, store)
+        return known or _solve_block(followers[block.curve], block, store)
 
     with count_progress("frequency response", len(blocks), progress and comm.rank == 0) as report:
         results = share_tasks(blocks, work, comm, report)
         report(len(blocks))
     curves = {}
-    for label, follower in followers.items():
-        own = [r for block, r in zip(blocks, results, strict=True) if block.label == label]
+    for k, (follower, (label, problem)) in enumerate(zip(followers, asked.items(), strict=True)):
+        own = [r for block, r in zip(blocks, results, strict=True) if block.curve == k]
         curve = _join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower)
         found = {s.problem.frequency for s in curve.points}
         missing = tuple(f for f in targets if f not in found)
         points = curve.points
-        if find_idle_harmonics(asked[label]).orders:
-            points = [include_idle(s, replace(asked[label], frequency=s.problem.frequency)) for s in points]
+        if find_idle_harmonics(problem).orders:
+            points = [include_idle(s, replace(problem, frequency=s.problem.frequency)) for s in points]
         curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
             posed = follower.problem_at(targets[0])
             curves[label] = refine_response(
                 curves[label], posed, targets, accuracy, tolerance, modes=modes, comm=comm, progress=progress
             )
-    if folder is not None:
-        do_on_rank_zero(lambda: _write_results(Path(folder), curves), comm)
+    if store:
+        do_on_rank_zero(lambda: _write_results(store.folder, curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
 
 
@@ -301,7 +282,7 @@ def refine_response(
     return FrequencyResponse(tuple(f.solution for f in found), (*curve.jumps, *jumps), curve.missing, tuple(found))
 
 
-def _solve_block(follower: Follower, block: _Block, store: _BlockStore | None) -> tuple[list[Record], list[Jump]]:
+def _solve_block(follower: Follower, block: Block, store: BlockStore | None) -> tuple[list[Record], list[Jump]]:
     curve = Curve()
     for i, f in enumerate(block.frequencies):
         try:
@@ -340,40 +321,9 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
     return curve
 
 
-class _BlockStore:
-    """Finished blocks on disk, one file each."""
-
-    def __init__(self, folder: Path, stated: str, labels: list):
-        self.folder, self.stated, self.labels = folder, stated, labels
-
-    def _path(self, block: _Block) -> Path:
-        return self.folder / f"{self.labels.index(block.label):03d}_{block.number:04d}.h5"
-
-    def write(self, block: _Block, records: list[Record], jumps: list[Jump]) -> None:
-        with replace_file(self._path(block)) as file:
-            file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
-            if records:
-                write_records(file.create_group("points"), records)
-            file["jumps"] = np.array([jump.frequency for jump in jumps]).reshape(-1, 2)
-            file.attrs["jumps"] = [jump.why for jump in jumps]
-
-    def read(self, block: _Block) -> tuple[list[Record], list[Jump]] | None:
-        path = self._path(block)
-        with open_file(path) as file:
-            if file is None:
-                return None
-            if file.attrs.get("stated") != self.stated:
-                raise OutputError(
-                    f"{path} belongs to a run with another model, laws or settings; give another folder or remove it"
-                )
-            records = read_records(file["points"]) if "points" in file else []
-            jumps = [Jump(tuple(f), str(w)) for f, w in zip(file["jumps"][()], file.attrs["jumps"], strict=True)]
-            return records, jumps
-
-
 def _write_results(folder: Path, curves: Mapping[object, FrequencyResponse]) -> None:
     with replace_file(folder / _RESULTS) as file:
-        file.attrs["format"] = _FORMAT
+        file.attrs["format"] = FORMAT
         for number, (label, curve) in enumerate(curves.items()):
             group = file.create_group(f"curve_{number}")
             group.attrs["label"] = "" if label is None else str(label)

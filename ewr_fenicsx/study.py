@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
+WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
+
 
 @dataclass(frozen=True)
 class Study:
@@ -73,20 +75,25 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
         OutputError: ``work`` holds another study.
     """
     watch, scene = Stopwatch(progress), chain.scene
-    if work is not None and can_resume(scene):
-        own = "blocks/*.h5" if len(scene.frequencies) > 1 else "wear_*.h5"
-        model = take_up_model(work, chain.reduction.model, chain.mesh.domain.comm, own)
-        chain = replace(chain, reduction=replace(chain.reduction, model=model))
+    work = work if can_resume(scene) else None
     if len(scene.frequencies) > 1:
         return _sweep(chain, watch, work)
     if scene.wear:
-        return _wear(chain, watch, work if can_resume(scene) else None)
+        return _wear(chain, watch, work)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
     if scene.solver.accuracy is not None and problem.frequency:
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
     return Study(chain, solution, watch.seconds, None, solution.summary(), lambda folder: None)
+
+
+def _take_up(chain: Chain, work: Path | None, own: str) -> Chain:
+    """The chain with the model that the work in a folder was begun with: files by the pattern ``own``."""
+    if work is None:
+        return chain
+    model = take_up_model(work, chain.reduction.model, chain.mesh.domain.comm, own)
+    return replace(chain, reduction=replace(chain.reduction, model=model))
 
 
 class _Modes:
@@ -153,7 +160,9 @@ def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
 
 def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     from ewr_fenicsx.frequency_sweep import frequency_response
+    from ewr_fenicsx.sweep_store import FILES
 
+    chain = _take_up(chain, work, FILES)
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
     problem = pose_problem(scene, model, chain.interface)
     idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
@@ -271,11 +280,12 @@ def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
 def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     from ewr_fenicsx.wear import Tolerance, evolve_wear
 
+    chain = _take_up(chain, work, WEAR_FILE.format("*"))
     scene, interface = chain.scene, chain.interface
     asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
     share = accuracy if asked.tolerance is None else asked.tolerance
     through = measure_thinnest_body(chain)
-    file = None if work is None else work / f"wear_{chain.mesh.domain.comm.rank}.h5"  # every rank does all of it
+    file = None if work is None else work / WEAR_FILE.format(chain.mesh.domain.comm.rank)  # every rank does all of it
     with watch.stage("wear"), refuse_other_work(work):
         history = evolve_wear(
             pose_problem(scene, chain.reduction.model, interface),
