@@ -6,12 +6,13 @@ Sweeps, wear and what serves an accuracy are imported where a scene asks for the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ewr_fenicsx import findings
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
@@ -25,7 +26,6 @@ from ewr_fenicsx.symmetry import find_idle_harmonics
 from ewr_fenicsx.work_folder import refuse_other_work, take_up_model
 
 if TYPE_CHECKING:
-    from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
@@ -138,24 +138,11 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
 
     modes, asked = _Modes(chain, watch), chain.scene.solver
     with watch.stage("solve"):
-        found = _word_remedy(solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice))
-    chain, facts = modes.chain_of(found.solution), {"accuracy": _list_accuracy(found)}
+        found = findings.word_remedy(
+            solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
+        )
+    chain, facts = modes.chain_of(found.solution), {"accuracy": findings.list_accuracy(found)}
     return Study(chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None, facts)
-
-
-def _word_remedy(found: AccurateSolution) -> AccurateSolution:
-    """The same, with what a scene can do about its limit in place of what a call can."""
-    if found.estimate.dominating == "modes" and found.levels:
-        return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
-    return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
-
-
-def _list_accuracy(found: AccurateSolution) -> dict[str, object]:
-    """What came of an accuracy that was asked for; causes that were not looked at are null."""
-    causes = {name: None if np.isnan(error) else float(error) for name, error in asdict(found.estimate).items()}
-    estimate = {"total": found.estimate.total} | causes
-    limit = found.limit and f"{found.limit}; {found.remedy}"
-    return {"asked": found.accuracy, "reached": found.reached, "limit": limit, "estimate": estimate}
 
 
 def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
@@ -165,7 +152,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     chain = _take_up(chain, work, FILES)
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
     problem = pose_problem(scene, model, chain.interface)
-    idle, accuracy = find_idle_harmonics(problem), scene.solver.accuracy
+    idle = find_idle_harmonics(problem)
     settings = {
         key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "closure", "tolerance")
     }
@@ -180,9 +167,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             comm=comm,
             **settings,
         )
-        if accuracy is not None and curve.solutions:
+        if scene.solver.accuracy is not None and curve.solutions:
             chain, curve = _refine(chain, watch, curve)
-            curve = replace(curve, accurate=tuple(map(_word_remedy, curve.accurate)))
+            curve = replace(curve, accurate=tuple(map(findings.word_remedy, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     table = curve.table()
@@ -206,28 +193,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             curve.unstable,
         )
 
-    told = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
-    told += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
-    told += _tell_accuracy(curve, accuracy) if curve.accurate else []
-    lost = int(curve.unstable.sum())
-    told += [f"  {lost} of them are unstable: between folds, where no motion in time stays"] if lost else []
-    told += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
-    told += [f"  jump from {jump.frequency[0]:g} to {jump.frequency[1]:g} Hz: {jump.why}" for jump in curve.jumps]
-    told.append(f"strongest at {strongest.summary()}")
-    facts: dict[str, object] = {
-        "sweep": {
-            "solutions": len(curve.solutions),
-            "unstable": lost,
-            "missing_Hz": list(curve.missing),
-            "jumps": [{"from_Hz": j.frequency[0], "to_Hz": j.frequency[1], "why": j.why} for j in curve.jumps],
-        }
-    }
-    if curve.accurate:
-        short = [{"frequency_Hz": f.solution.problem.frequency} | _list_accuracy(f) for f in curve.accurate]
-        short = [found for found in short if not found["reached"]]
-        worst = max(found.estimate.total for found in curve.accurate)
-        facts["accuracy"] = {"asked": accuracy, "reached": not short, "estimate": {"total": worst}, "short": short}
-    return Study(chain, strongest, watch.seconds, (curve.frequencies, height), "\n".join(told), write, facts)
+    told = "\n".join([*findings.tell_sweep(curve, idle), f"strongest at {strongest.summary()}"])
+    course, facts = (curve.frequencies, height), findings.list_facts_of_sweep(curve)
+    return Study(chain, strongest, watch.seconds, course, told, write, facts)
 
 
 def _label(name: str, values: RealArray) -> tuple[str, RealArray]:
@@ -258,23 +226,6 @@ def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[C
         if not wanting or count == len(modes.coordinates):
             return modes.chain, curve
         problem, _ = modes.keep_more(count)
-
-
-def _tell_accuracy(curve: FrequencyResponse, accuracy: float) -> list[str]:
-    """How accurate the solutions of a curve are thought to be, and why some are not as accurate as asked."""
-    worst = max(found.estimate.total for found in curve.accurate)
-    tops = [s.orders[-1] for s in curve.solutions]
-    solves = sum(len(found.levels) for found in curve.accurate)
-    lines = [
-        f"  estimated errors up to {worst:.1g} of {accuracy:g} asked, highest harmonics {min(tops)} to {max(tops)}, "
-        f"{solves} solves besides those of the curve"
-    ]
-    for found in curve.accurate:
-        if not found.reached:
-            frequency = found.solution.problem.frequency
-            why = f"{found.estimate.total:.1g}; {found.limit}; {found.remedy}"
-            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {why}")
-    return lines
 
 
 def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
@@ -318,28 +269,8 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
         depths["deepest pair [µm]"] = 1e6 * history.depth.max(axis=1)
         draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
 
-    told = [
-        f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
-        f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
-    ]
-    facts: dict[str, object] = {
-        "wear": {"cycles": int(history.cycles[-1]), "solves": history.solves, "stopped": history.stopped}
-    }
-    if accuracy is not None:
-        tops, worst = [s.orders[-1] for s in history.solutions], float(np.nanmax(history.estimates))
-        told.append(
-            f"  estimated errors up to {worst:.1g} of {accuracy:g} asked, highest harmonics "
-            f"{min(tops)} to {max(tops)}, {len(chain.reduction.modal_coordinates)} modes"
-        )
-        short = history.cycles[history.estimates > accuracy]
-        told += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
-        facts["accuracy"] = {"asked": accuracy, "reached": not short.size, "estimate": {"total": worst}}
-        facts["accuracy"] |= {"short_after_cycles": short.tolist()}
-    told += [f"  stopped {history.stopped}"] if history.stopped else []
-    if history.depth[-1].max() > through:
-        told.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
-    first, last = history.solutions[0], history.solutions[-1]
-    told += [f"  the first solve: {line}" for line in first.list_reservations()]
-    facts["wear"] |= {"reservations_of_first_solve": first.list_reservations()}
+    last, count = history.solutions[-1], len(chain.reduction.modal_coordinates)
+    told = "\n".join([*findings.tell_wear(history, through, count), f"worn: {last.summary()}"])
     course = history.cycles, history.total_volume / interface.area.sum()
-    return Study(chain, last, watch.seconds, course, "\n".join([*told, f"worn: {last.summary()}"]), write, facts)
+    facts = findings.list_facts_of_wear(history)
+    return Study(chain, last, watch.seconds, course, told, write, facts)

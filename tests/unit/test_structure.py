@@ -25,7 +25,7 @@ ORDER = [
     "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "wear", "scene_errors",
     "scene_entries", "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials",
     "elasticity", "interface", "modes", "reduction", "chain", "gathering", "plots", "cost_plots", "result_folder",
-    "output", "wear_fields", "work_folder", "study", "cost_report", "cli", "__main__",
+    "output", "wear_fields", "work_folder", "findings", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]

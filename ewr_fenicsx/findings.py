@@ -1,0 +1,124 @@
+"""What there is to say of a study: a few lines for people, and facts for the summary of a run, ready for JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ewr_fenicsx.symmetry import IdleHarmonics
+
+if TYPE_CHECKING:
+    from ewr_fenicsx.accuracy import AccurateSolution
+    from ewr_fenicsx.frequency_sweep import FrequencyResponse
+    from ewr_fenicsx.wear import WearHistory
+
+
+def word_remedy(found: AccurateSolution) -> AccurateSolution:
+    """The same, with what a scene can do about its limit in place of what a call can."""
+    if found.estimate.dominating == "modes" and found.levels:
+        return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
+    return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
+
+
+def list_accuracy(found: AccurateSolution) -> dict[str, object]:
+    """What came of an accuracy that was asked for; causes that were not looked at are null."""
+    causes = {name: None if np.isnan(error) else float(error) for name, error in asdict(found.estimate).items()}
+    estimate = {"total": found.estimate.total} | causes
+    limit = found.limit and f"{found.limit}; {found.remedy}"
+    return {"asked": found.accuracy, "reached": found.reached, "limit": limit, "estimate": estimate}
+
+
+def tell_sweep(curve: FrequencyResponse, idle: IdleHarmonics) -> list[str]:
+    """What a curve holds, and what it lacks."""
+    lines = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
+    lines += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
+    lines += _tell_accuracy(curve) if curve.accurate else []
+    lost = int(curve.unstable.sum())
+    lines += [f"  {lost} of them are unstable: between folds, where no motion in time stays"] if lost else []
+    lines += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
+    return lines + [f"  jump from {j.frequency[0]:g} to {j.frequency[1]:g} Hz: {j.why}" for j in curve.jumps]
+
+
+def _tell_accuracy(curve: FrequencyResponse) -> list[str]:
+    """How accurate the solutions of a curve are thought to be, and why some are not as accurate as asked."""
+    asked, worst = curve.accurate[0].accuracy, max(found.estimate.total for found in curve.accurate)
+    tops = [s.orders[-1] for s in curve.solutions]
+    solves = sum(len(found.levels) for found in curve.accurate)
+    lines = [
+        f"  estimated errors up to {worst:.1g} of {asked:g} asked, highest harmonics {min(tops)} to {max(tops)}, "
+        f"{solves} solves besides those of the curve"
+    ]
+    for found in curve.accurate:
+        if not found.reached:
+            frequency = found.solution.problem.frequency
+            why = f"{found.estimate.total:.1g}; {found.limit}; {found.remedy}"
+            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {why}")
+    return lines
+
+
+def list_facts_of_sweep(curve: FrequencyResponse) -> dict[str, object]:
+    """What decides whether to trust a curve: breaks and gaps, accuracy."""
+    facts: dict[str, object] = {
+        "sweep": {
+            "solutions": len(curve.solutions),
+            "unstable": int(curve.unstable.sum()),
+            "missing_Hz": list(curve.missing),
+            "jumps": [{"from_Hz": j.frequency[0], "to_Hz": j.frequency[1], "why": j.why} for j in curve.jumps],
+        }
+    }
+    if curve.accurate:
+        short = [{"frequency_Hz": f.solution.problem.frequency} | list_accuracy(f) for f in curve.accurate]
+        short = [found for found in short if not found["reached"]]
+        worst, asked = max(found.estimate.total for found in curve.accurate), curve.accurate[0].accuracy
+        facts["accuracy"] = {"asked": asked, "reached": not short, "estimate": {"total": worst}, "short": short}
+    return facts
+
+
+def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
+    """How deep a joint has worn, how accurate that is thought to be, and why it is no result where it is none.
+
+    Args:
+        history: The wear.
+        through: Thickness of the thinnest body [m].
+        modes: Modes that the reduced model keeps.
+    """
+    lines = [
+        f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
+        f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
+    ]
+    if history.accuracy is not None:
+        tops, worst = [s.orders[-1] for s in history.solutions], np.nanmax(history.estimates)
+        lines.append(
+            f"  estimated errors up to {worst:.1g} of {history.accuracy:g} asked, highest harmonics "
+            f"{min(tops)} to {max(tops)}, {modes} modes"
+        )
+        short = history.cycles[history.estimates > history.accuracy]
+        lines += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
+    lines += [f"  stopped {history.stopped}"] if history.stopped else []
+    if history.depth[-1].max() > through:
+        lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
+    return lines + [f"  the first solve: {line}" for line in history.solutions[0].list_reservations()]
+
+
+def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
+    """What decides whether to trust a history: why it stopped, how its first solution was found, accuracy."""
+    reservations = history.solutions[0].list_reservations()
+    facts: dict[str, object] = {
+        "wear": {
+            "cycles": int(history.cycles[-1]),
+            "solves": history.solves,
+            "stopped": history.stopped,
+            "reservations_of_first_solve": reservations,
+        }
+    }
+    if history.accuracy is not None:
+        short, worst = history.cycles[history.estimates > history.accuracy], float(np.nanmax(history.estimates))
+        facts["accuracy"] = {
+            "asked": history.accuracy,
+            "reached": not short.size,
+            "estimate": {"total": worst},
+            "short_after_cycles": short.tolist(),
+        }
+    return facts
