@@ -17,7 +17,7 @@ _HOME = {
     "integrate": "time_integration",
     "frequency_response": "frequency_sweep",
     "evolve_wear": "wear",
-    "Tolerance": "wear",
+    "Tolerance": "cycle_jumps",
     "load_scene": "scene",
     "build_reduced_model": "chain",
 }

@@ -229,7 +229,8 @@ def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[C
 
 
 def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
-    from ewr_fenicsx.wear import Tolerance, evolve_wear
+    from ewr_fenicsx.cycle_jumps import Tolerance
+    from ewr_fenicsx.wear import evolve_wear
 
     chain = _take_up(chain, work, WEAR_FILE.format("*"))
     scene, interface = chain.scene, chain.interface

@@ -13,12 +13,12 @@ import dolfinx
 import pytest
 from small_scenes import write_blocks
 
-from ewr_fenicsx import frequency_sweep, wear
+from ewr_fenicsx import cycle_jumps, frequency_sweep
 from ewr_fenicsx.cli import main
 
 write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
 STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table
-    "wear": (write_scene("[wear]\ncycles = 12"), (wear, "solve_from"), 12, "wear.csv"),
+    "wear": (write_scene("[wear]\ncycles = 12"), (cycle_jumps, "solve_from"), 12, "wear.csv"),
     "sweep": (
         write_scene(frequency="{ from = 2000, to = 3500, points = 16 }"),
         (frequency_sweep, "_solve_block"),

@@ -18,11 +18,11 @@ from ewr_fenicsx import (
     ContactProblem,
     ReducedModel,
     Tolerance,
+    cycle_jumps,
     evolve_wear,
     integrate,
     solve,
     solve_to_accuracy,
-    wear,
 )
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.contact_state import STICK, classify_contact
@@ -298,14 +298,13 @@ def test_wear_stops_at_a_given_depth():
 )
 def test_wear_ends_where_there_is_no_solution_and_says_which(monkeypatch, jump, failure, why):
     """Small displacements leave every worn joint an equilibrium, so the solver is made to find none past a depth."""
-    from ewr_fenicsx import wear
 
     def give_way(problem, *args, **kwargs):
         if problem.wear.max() > 1e-7:
             raise failure
         return solve_from(problem, *args, **kwargs)
 
-    monkeypatch.setattr(wear, "solve_from", give_way)
+    monkeypatch.setattr(cycle_jumps, "solve_from", give_way)
     history = evolve_wear(punch(CROWN), 500, COEFFICIENT, jump)
     assert 0.9e-7 < history.depth[-1].max() <= 1e-7 and history.cycles[-1] < 500
     assert history.stopped == f"after {history.cycles[-1]} cycles: {why}"
@@ -373,7 +372,7 @@ def test_harmonics_are_raised_when_a_worn_joint_needs_more(tmp_path, monkeypatch
     assert (whole.estimates <= 0.1).all()
     assert (np.diff(whole.depth, axis=0) >= 0).all()
 
-    steps, advance = [], wear._Run.advance
+    steps, advance = [], cycle_jumps.WearRun.advance
 
     def break_off(run, state):
         if len(steps) == 5:
@@ -381,10 +380,10 @@ def test_harmonics_are_raised_when_a_worn_joint_needs_more(tmp_path, monkeypatch
         steps.append(state)
         return advance(run, state)
 
-    monkeypatch.setattr(wear._Run, "advance", break_off)
+    monkeypatch.setattr(cycle_jumps.WearRun, "advance", break_off)
     with pytest.raises(KeyboardInterrupt):
         wear_to_a_tenth(file=tmp_path / "broken.h5")
-    monkeypatch.setattr(wear._Run, "advance", advance)
+    monkeypatch.setattr(cycle_jumps.WearRun, "advance", advance)
     resumed = wear_to_a_tenth(file=tmp_path / "broken.h5")
     assert [s.orders[-1] for s in resumed.solutions] == tops
     assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
