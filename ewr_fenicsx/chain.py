@@ -22,9 +22,10 @@ from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
-from ewr_fenicsx.scene import Material, ModalDamping, RayleighDamping, RotationLoad, Scene
+from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.scene_joint import Contact
 from ewr_fenicsx.scene_sense import can_wear, doubt_extent, doubt_modes
+from ewr_fenicsx.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
 JIT = "JIT"  # compilation of forms and spaces

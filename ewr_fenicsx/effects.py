@@ -9,9 +9,10 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.scene import ForceLoad, RotationLoad, Scene
+from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.scene_joint import Contact
 from ewr_fenicsx.scene_sense import can_wear, laws_in_force, oscillating_loads
+from ewr_fenicsx.scene_structure import ForceLoad, RotationLoad
 from ewr_fenicsx.symmetry import find_idle_harmonics, leave_out_idle
 
 Joint = Mapping[str, Contact]  # key of the scene -> laws that hold there

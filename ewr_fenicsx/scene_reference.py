@@ -14,7 +14,8 @@ from pathlib import Path
 
 from pydantic_core import PydanticUndefined
 
-from ewr_fenicsx.scene import Scene, Section
+from ewr_fenicsx.scene import Scene
+from ewr_fenicsx.scene_entries import Section
 
 _INTRODUCTION = """\
 # Scene files

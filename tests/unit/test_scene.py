@@ -12,8 +12,10 @@ from small_scenes import AT, HEAD, SCENE
 
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
-from ewr_fenicsx.scene import Excitation, ForceLoad, Geometry, RotationLoad, Scene, Section, load_scene
+from ewr_fenicsx.scene import Excitation, Scene, load_scene
+from ewr_fenicsx.scene_entries import Section
 from ewr_fenicsx.scene_reference import list_sections, write_reference
+from ewr_fenicsx.scene_structure import ForceLoad, Geometry, RotationLoad
 
 ROOT = Path(__file__).parents[2]
 
