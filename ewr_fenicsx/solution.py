@@ -322,10 +322,8 @@ class PeriodicSolution:
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
-        if self.rigid.size:
-            balance = HarmonicBalance(self.problem.system)
-            if walks(balance, balance.pack(self.forces, self.rigid), DOUBTFUL):
-                lines.append(MAY_WALK)
+        if self.rigid.size and walks(*self._pose(), DOUBTFUL):
+            lines.append(MAY_WALK)
         if self.fallbacks:
             stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
@@ -340,11 +338,12 @@ class PeriodicSolution:
     @cached_property
     def side(self) -> int:
         """-1 where it is unstable for sure, as between two folds, else 1; 0: not looked at. See ``stability.py``."""
-        system = self.problem.system
-        if not (self.converged and system.rows.shape[0]):
-            return 0
-        balance = HarmonicBalance(system)
-        return find_side(balance, balance.pack(self.forces, self.rigid))
+        return find_side(*self._pose()) if self.converged and self.problem.system.rows.shape[0] else 0
+
+    def _pose(self) -> tuple[HarmonicBalance, RealArray]:
+        """The balance and its unknowns here; in units of these forces, for full stick would take as long as a step."""
+        balance = HarmonicBalance(self.problem.system, float(np.linalg.norm(self.forces)) or 1.0)
+        return balance, balance.pack(self.forces, self.rigid)
 
     @cached_property
     def touches(self) -> bool:
