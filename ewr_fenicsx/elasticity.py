@@ -175,25 +175,7 @@ def assemble_structure(
         SceneError: A value out of its range, a body without material.
         EwrError: The forms cannot be compiled.
     """
-    if mesh.domain.geometry.dim != 2:
-        raise MeshError(f"the mesh is {mesh.domain.geometry.dim}-dimensional; plane elasticity needs a 2-D one")
-    if plane not in ("stress", "strain"):
-        raise SceneError(f'plane is "{plane}"; give "stress" or "strain"{nearest(plane, ("stress", "strain"))}')
-    if degree not in (1, 2):
-        raise SceneError(f"degree is {degree}; give 1 or 2")
-    if (order := mesh.domain.geometry.cmap.degree) > degree:
-        raise MeshError(
-            f"the mesh has cells of order {order} and the elements are of degree {degree}: where cells are curved, "
-            f"turning a body would take forces; give elasticity.degree = {order}, or a mesh of order {degree}"
-        )
-    if not thickness > 0:
-        raise SceneError(f"thickness is {thickness} m; give a positive number")
-    for body in materials:
-        _tag(mesh.bodies, body, "body")
-    for body in mesh.bodies:
-        if body not in materials:
-            raise SceneError(f'materials: body "{body}" has none; give it one (there are {", ".join(materials)})')
-
+    _check_choices(mesh, materials, thickness, plane, degree)
     space = _compat.function_space(mesh.domain, "Lagrange", degree, (2,))
     density, shear, lame = _material_fields(mesh, materials, plane)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -216,25 +198,40 @@ def assemble_structure(
         damping_matrix.axpy(damping.beta, stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
     return Structure(
-        mesh,
-        space,
-        thickness,
-        mass,
-        stiffness,
-        damping_matrix,
-        _clamped_dofs(mesh, space, clamp),
-        tuple(
-            Load(
-                load.name,
-                load.harmonic,
-                cmath.exp(1j * load.phase),
-                _nodal_forces(mesh, space, load, density, thickness, dx),
-            )
-            for load in loads
-        ),
-        {o.name: mean_over_edge(space, _outer_facets(mesh, o.boundary), _unit(o)) for o in outputs},
-        damping.ratio if isinstance(damping, PerMode) else None,
+        mesh=mesh,
+        space=space,
+        thickness=thickness,
+        mass=mass,
+        stiffness=stiffness,
+        damping=damping_matrix,
+        fixed_dofs=_clamped_dofs(mesh, space, clamp),
+        loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
+        outputs={o.name: mean_over_edge(space, _outer_facets(mesh, o.boundary), _unit(o)) for o in outputs},
+        modal_damping=damping.ratio if isinstance(damping, PerMode) else None,
     )
+
+
+def _check_choices(
+    mesh: JointMesh, materials: Mapping[str, Material], thickness: float, plane: str, degree: int
+) -> None:
+    if mesh.domain.geometry.dim != 2:
+        raise MeshError(f"the mesh is {mesh.domain.geometry.dim}-dimensional; plane elasticity needs a 2-D one")
+    if plane not in ("stress", "strain"):
+        raise SceneError(f'plane is "{plane}"; give "stress" or "strain"{nearest(plane, ("stress", "strain"))}')
+    if degree not in (1, 2):
+        raise SceneError(f"degree is {degree}; give 1 or 2")
+    if (order := mesh.domain.geometry.cmap.degree) > degree:
+        raise MeshError(
+            f"the mesh has cells of order {order} and the elements are of degree {degree}: where cells are curved, "
+            f"turning a body would take forces; give elasticity.degree = {order}, or a mesh of order {degree}"
+        )
+    if not thickness > 0:
+        raise SceneError(f"thickness is {thickness} m; give a positive number")
+    for body in materials:
+        _tag(mesh.bodies, body, "body")
+    for body in mesh.bodies:
+        if body not in materials:
+            raise SceneError(f'materials: body "{body}" has none; give it one (there are {", ".join(materials)})')
 
 
 def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
@@ -334,14 +331,15 @@ def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: 
     return fields
 
 
-def _nodal_forces(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> PETSc.Vec:
+def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> Load:
     if isinstance(load, EdgeForce):
-        return mean_over_edge(space, _outer_facets(mesh, load.boundary), load.force)
-    centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
-    form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
-    forces = _compat.assemble_vector(_compat.compile_form(form, "the centrifugal force"))
-    forces.scale(thickness * load.omega**2)
-    return forces
+        forces = mean_over_edge(space, _outer_facets(mesh, load.boundary), load.force)
+    else:
+        centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
+        form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
+        forces = _compat.assemble_vector(_compat.compile_form(form, "the centrifugal force"))
+        forces.scale(thickness * load.omega**2)
+    return Load(load.name, load.harmonic, cmath.exp(1j * load.phase), forces)
 
 
 def _clamped_dofs(mesh: JointMesh, space, clamp: Iterable[str]) -> np.ndarray:
