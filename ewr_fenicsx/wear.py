@@ -163,12 +163,7 @@ def evolve_wear(
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
     check_problem(problem)
-    model = problem.model
-    rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
-    if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
-        raise ModelError(
-            f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
-        )
+    rates = read_coefficient(problem, coefficient)
     if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
         raise ModelError(
             f"cycles = {cycles!r}, keep_every = {keep_every!r}, checkpoint_every = {checkpoint_every!r}; give whole "
@@ -181,13 +176,6 @@ def evolve_wear(
         raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
     if accuracy is not None:
         check_accuracy(accuracy)
-    if problem.frequency == 0:
-        raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
-    rates[~problem.opens] = 0.0  # no gap that could grow
-    if not np.any(rates > 0):
-        raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')
-    if model.tangents == 0:
-        raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
     store = None
     if file is not None:
         if choice.get("more_modes"):
@@ -220,3 +208,25 @@ def evolve_wear(
         if store and state is not saved:
             store.write(state)
     return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy)
+
+
+def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) -> RealArray:
+    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow.
+
+    Raises:
+        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
+    """
+    model = problem.model
+    rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
+    if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
+        raise ModelError(
+            f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
+        )
+    if problem.frequency == 0:
+        raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
+    rates[~problem.opens] = 0.0
+    if not np.any(rates > 0):
+        raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')
+    if model.tangents == 0:
+        raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
+    return rates
