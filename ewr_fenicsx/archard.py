@@ -11,8 +11,8 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.contact_state import OPEN, classify_contact
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.indicators import measure_sliding
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
 SAMPLES = 1024  # of the period, for integrals over a cycle

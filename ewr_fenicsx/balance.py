@@ -14,11 +14,11 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.elimination import REDUNDANCY
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_derivatives import Derivative
 from ewr_fenicsx.law_kinds import Motion, Response, Signal, Variable
 from ewr_fenicsx.newton_step import NewtonStep
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 # Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.

@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 
 from ewr_fenicsx.compliance import find_normal_modes, receptance
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.reduced_model import ReducedModel
 
 Closure = Literal["dashpot", "spring"]
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring

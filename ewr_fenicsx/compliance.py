@@ -15,7 +15,8 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.reduced_model import ReducedModel
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
 

@@ -19,11 +19,11 @@ from ewr_fenicsx.closure import Closure, find_springs
 from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
 from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel, check_loads
+from ewr_fenicsx.reduced_model import ReducedModel, check_loads
 from ewr_fenicsx.statics import find_holding
 
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)

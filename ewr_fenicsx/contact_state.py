@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.solution import SECOND, PeriodicSolution
 
 OPEN, STICK, SLIP = 0, 1, 2

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton_step import Factorisation
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.stability import find_side
 
 BalanceAt = Callable[[float], HarmonicBalance]

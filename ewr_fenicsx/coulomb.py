@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, RealArray, Response, register_law
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
 from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb

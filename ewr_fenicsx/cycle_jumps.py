@@ -20,9 +20,8 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.following import solve_from
-from ewr_fenicsx.given import is_positive, is_whole
+from ewr_fenicsx.given import RealArray, is_positive, is_whole
 from ewr_fenicsx.newton import solve
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearState, WearStep
 

@@ -26,8 +26,9 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.closure import list_beyond, measure_beyond
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.inexact_step import solve_inexactly
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 from ewr_fenicsx.symmetry import leave_out_idle

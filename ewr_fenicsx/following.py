@@ -17,8 +17,8 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_branch
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.given import ComplexArray
 from ewr_fenicsx.newton import solve, wrap
-from ewr_fenicsx.reduced_model import ComplexArray
 from ewr_fenicsx.snes import Attempt, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import guide

@@ -24,10 +24,10 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
-from ewr_fenicsx.given import is_positive, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray, ReducedModel
+from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import Record, fingerprint, gather_output, list_orders, restore, strip, write_records

@@ -11,7 +11,7 @@ import numpy as np
 from ewr_fenicsx import _compat
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.elasticity import boundary_facets
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 
 
 def measure_sliding(speed: RealArray, period: float) -> RealArray:

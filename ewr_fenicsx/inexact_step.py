@@ -15,9 +15,9 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.elimination import invert_steady
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
-from ewr_fenicsx.reduced_model import RealArray
 
 FEW = 1500  # unknowns that no elimination takes out, below which the exact step is cheaper
 COUPLED = 5  # lowest harmonics that are solved for together

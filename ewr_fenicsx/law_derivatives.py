@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.law_kinds import Variable
-from ewr_fenicsx.reduced_model import RealArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,9 @@ import scipy.linalg
 
 from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.law_kinds import LawKind
-from ewr_fenicsx.reduced_model import RealArray, ReducedModel, hold
+from ewr_fenicsx.reduced_model import ReducedModel, hold
 
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
 DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows

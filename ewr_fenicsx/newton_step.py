@@ -13,8 +13,8 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.elimination import BATCH, Elimination, Equations, apply_harmonics
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_derivatives import Derivative, ProjectedDerivative, project_derivatives
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 
 class NewtonStep:

@@ -25,9 +25,9 @@ from ewr_fenicsx import _compat, plots
 from ewr_fenicsx.chain import JIT, Chain, add_times
 from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.gathering import node_interpolation
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, read_summary, result_folder
 from ewr_fenicsx.solution import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicSolution
 from ewr_fenicsx.whole_files import write_table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.time_stepping import Period, TimeScheme
 
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal

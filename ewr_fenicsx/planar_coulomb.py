@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ewr_fenicsx.law_kinds import Law, Motion, PairGroup, Partial, RealArray, Response
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import Law, Motion, PairGroup, Partial, Response
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 
 PLANE = ("tangential", "second_tangential")

@@ -24,8 +24,8 @@ from scipy.spatial import cKDTree
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.contact_state import find_pairs_with, list_histories, sample_friction_limit
 from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution
 

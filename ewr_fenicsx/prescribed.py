@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import read_harmonic, read_numbers
-from ewr_fenicsx.law_kinds import ComplexArray, LawKind, MeanBound, RealArray, register_law
+from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
+from ewr_fenicsx.law_kinds import LawKind, MeanBound, register_law
 
 
 @register_law("normal", "prescribed")

@@ -14,7 +14,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ewr_fenicsx.law_kinds import Law, RealArray
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import Law
 
 System = TypeVar("System")
 

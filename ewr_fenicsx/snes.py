@@ -10,8 +10,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton_step import Factorisation
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.walking import WALKS, walks
 
 LinearSolver = Literal["elimination", "dense"]

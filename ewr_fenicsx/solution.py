@@ -13,10 +13,9 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import is_whole
+from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_kinds import list_parameters
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.stability import find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ewr_fenicsx.law_kinds import Law, Motion, Partial, RealArray, Response
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import Law, Motion, Partial, Response
 
 
 class Stop(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 
 MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: seconds
 SINGULAR = 1e-12  # smallest pivot over the largest, below which rounding decides the sign: redundant pairs

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from ewr_fenicsx.errors import UnheldBody
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 
 _BALANCED = 1e-8  # unbalanced share of the mean load taken for zero
 _SIDES = 32  # of the polygon around the disk of friction forces in a plane; at its corners they are 0.5 % too large

@@ -17,8 +17,8 @@ from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.gathering import measure_thinnest_body
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton import solve
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.reduction import keep_more_modes
 from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution

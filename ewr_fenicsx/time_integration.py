@@ -12,9 +12,8 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import is_positive, is_whole
+from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import SECOND, PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 

@@ -28,10 +28,9 @@ import scipy.linalg
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import is_whole
+from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 from ewr_fenicsx.harmonics import sample_amplitudes
 from ewr_fenicsx.law_kinds import spread_over_pairs
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 _KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, RealArray, Response, register_law
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
 from ewr_fenicsx.smoothing import Rounded, round_positive_part
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 
 NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-4 or less
 DOUBTFUL = 3e-4  # share above which a body that hangs on friction walks slowly, or few harmonics say so

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 

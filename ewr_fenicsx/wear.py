@@ -17,10 +17,9 @@ from ewr_fenicsx.accuracy import check_accuracy, solve_to_accuracy
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.cycle_jumps import Tolerance, WearRun
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import is_positive, is_whole
+from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import fingerprint, gather_output, list_orders
 from ewr_fenicsx.wear_accuracy import AccurateWear

@@ -15,7 +15,7 @@ from ewr_fenicsx.archard import measure_wear_rate
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.estimates import estimate_errors
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.wear_store import WearStep
 

@@ -15,9 +15,9 @@ import numpy as np
 from ewr_fenicsx.archard import SAMPLES
 from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.gathering import node_interpolation
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.output import find_pairs, spread_over_interface, write_series
-from ewr_fenicsx.reduced_model import RealArray
 from ewr_fenicsx.wear import WearHistory
 
 WEAR_FIELDS = ("worn_gap", "mean_pressure", "sliding_distance", "J_T")

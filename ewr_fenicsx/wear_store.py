@@ -10,7 +10,7 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import OutputError
-from ewr_fenicsx.reduced_model import RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import read_records, restore, strip, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
