@@ -37,8 +37,9 @@ from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_
 from ewr_fenicsx.accuracy import SAMPLES
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import EwrError
-from ewr_fenicsx.estimates import choose_samples, compare_responses, use_mobility
+from ewr_fenicsx.estimates import choose_samples, compare_responses
 from ewr_fenicsx.scene import load_scene
 from ewr_fenicsx.solution import PeriodicSolution
 

@@ -10,6 +10,7 @@ from numbers import Real
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     RATE,
@@ -23,7 +24,6 @@ from ewr_fenicsx.estimates import (
     estimate_weight,
     holds_springs,
     measure_distance,
-    use_mobility,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve

@@ -14,7 +14,8 @@ from statistics import median
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.estimates import choose_samples, read_friction_weight, use_mobility
+from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
+from ewr_fenicsx.estimates import choose_samples
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.indicators import measure_cone_violation, measure_sliding
 from ewr_fenicsx.newton import solve

@@ -12,8 +12,9 @@ from ewr_fenicsx.chain import Chain, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import HIGHEST as SEEN
 from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
+from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import SceneError
-from ewr_fenicsx.estimates import estimate_errors, use_mobility
+from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.closure import list_beyond, measure_beyond
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.inexact_step import solve_inexactly
 from ewr_fenicsx.reduced_model import ReducedModel
@@ -237,15 +237,6 @@ def estimate_weight(solution: PeriodicSolution, figure: Figure | None = None) ->
     return step_towards(solution, replace(problem, rho_tangential=WEIGHT_CHANGE * weight), figure)
 
 
-def read_friction_weight(problem: ContactProblem) -> RealArray | None:
-    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N]."""
-    weight, found = np.ones(problem.model.pairs), False
-    for law in problem.system.laws:
-        if law.direction == "tangential" and hasattr(law, "rho"):
-            weight[law.pairs], found = law.rho, True
-    return weight if found else None
-
-
 def estimate_errors(
     solution: PeriodicSolution, modes: Sequence[int] = (), figure: Figure | None = None
 ) -> ErrorEstimate:
@@ -261,37 +252,6 @@ def estimate_errors(
         *(estimate(solution, figure) for estimate in causes),
         estimate_modes(solution, modes, figure) if len(modes) else np.nan,
     )
-
-
-def match_mobility(problem: ContactProblem) -> RealArray | None:
-    """``(K_c,)`` weights ``rho_T`` that close the truncation: each pair's mobility at the first harmonics left out.
-
-    The projected law would be exact if those harmonics obeyed ``v_h = rho_T lam_h`` (docs/method.md). Geometric mean
-    over some of them, for a single one may hit a resonance; with two tangents, of a size that does not depend on where
-    they point. None without friction [(m/s)/N].
-    """
-    weight = read_friction_weight(problem)
-    if weight is None:
-        return None
-    system, beyond = problem.system, list_beyond(problem.basis.orders[-1])
-    rate = np.array(beyond)[:, None] * problem.omega
-    measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond)  # noqa: E731
-    for law in system.laws:
-        if law.direction == "tangential" and hasattr(law, "rho"):
-            at = [system.row_of(direction, law.pairs) for direction in problem.model.tangent_directions]
-            along = [system.rows[rows] for rows in at if np.all(rows >= 0)]
-            own = [measure(rows) for rows in along]
-            size = np.linalg.norm(own, axis=0)
-            if len(along) == 2:
-                between = (measure(along[0] + along[1]) - own[0] - own[1]) / 2
-                size = np.hypot(size, np.sqrt(2) * np.abs(between))
-            weight[law.pairs] = np.exp(np.log(rate * size / np.sqrt(len(along))).mean(axis=0))
-    return weight
-
-
-def use_mobility(problem: ContactProblem) -> ContactProblem:
-    """The problem with the weights of ``match_mobility``."""
-    return replace(problem, rho_tangential=match_mobility(problem))
 
 
 def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:

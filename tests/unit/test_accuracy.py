@@ -9,6 +9,7 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.dashpots import match_mobility, read_friction_weight
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.estimates import (
     choose_harmonics,
@@ -19,11 +20,9 @@ from ewr_fenicsx.estimates import (
     estimate_samples,
     estimate_together,
     estimate_weight,
-    match_mobility,
     measure_distance,
     measure_step,
     raise_harmonics,
-    read_friction_weight,
     step_towards,
     take_step,
 )

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.estimates import holds_springs, measure_distance, use_mobility
+from ewr_fenicsx.estimates import holds_springs, measure_distance
 
 
 def rub_behind_springs(harmonics=5, load=1.0, **settings) -> ContactProblem:

@@ -21,7 +21,7 @@ ORDER = [
     "compliance", "closure", "layout", "contact_problem", "law_derivatives", "elimination", "newton_step",
     "balance", "inexact_step", "stability", "walking", "indicators", "solution", "contact_state", "time_stepping",
     "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton",
-    "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining",
+    "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining",
     "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
     "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
     "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain", "gathering", "plots",

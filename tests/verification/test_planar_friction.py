@@ -19,8 +19,8 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, so
 from ewr_fenicsx.accuracy import solve_to_accuracy
 from ewr_fenicsx.archard import measure_wear_rate
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
+from ewr_fenicsx.dashpots import match_mobility
 from ewr_fenicsx.errors import NotConverged, UnheldBody
-from ewr_fenicsx.estimates import match_mobility
 from ewr_fenicsx.planar_coulomb import PLANE
 
 
