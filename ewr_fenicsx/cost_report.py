@@ -18,7 +18,7 @@ from ewr_fenicsx.estimates import estimate_errors
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.result_folder import on_rank_zero, read_summary
+from ewr_fenicsx.result_folder import do_with_files, read_summary
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -117,7 +117,7 @@ def time_run(chain: Chain) -> dict[str, float]:
     with TemporaryDirectory() as own:
         folder = Path(comm.bcast(own)) / "run"
         write_results(folder, chain, solution, seconds=newton)
-        return on_rank_zero(comm, lambda: read_summary(folder)["seconds"])
+        return do_with_files(lambda: read_summary(folder)["seconds"], comm)
 
 
 def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:

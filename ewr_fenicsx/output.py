@@ -28,7 +28,7 @@ from ewr_fenicsx.gathering import node_interpolation
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.result_folder import SUMMARY, on_rank_zero, read_summary, result_folder
+from ewr_fenicsx.result_folder import SUMMARY, do_with_files, read_summary, result_folder
 from ewr_fenicsx.solution import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicSolution
 from ewr_fenicsx.whole_files import write_table
 
@@ -98,7 +98,7 @@ def write_results(
             own = {JIT: compiled, "write": time.perf_counter() - start - compiled}
             summary["seconds"] = add_times(chain.seconds, seconds or {"solve": solution.seconds}, own)
             (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    return tuple(folder / name for name in on_rank_zero(comm, lambda: read_summary(folder)["files"]))
+    return tuple(folder / name for name in do_with_files(lambda: read_summary(folder)["files"], comm))
 
 
 def list_files(files: Sequence[Path]) -> str:

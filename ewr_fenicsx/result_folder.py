@@ -35,7 +35,7 @@ def check_target(
     Raises:
         OutputError: On every rank. The folder exists, holds files that are no results, or cannot be made.
     """
-    on_rank_zero(comm, lambda: _check_target(Path(folder), overwrite, own))
+    do_with_files(lambda: _check_target(Path(folder), overwrite, own), comm)
 
 
 @contextmanager
@@ -47,12 +47,12 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
     """
     check_target(folder, overwrite=overwrite, comm=comm)
     folder = Path(folder).absolute()
-    draft = on_rank_zero(comm, lambda: _make_draft(folder))
+    draft = do_with_files(lambda: _make_draft(folder), comm)
     try:
         with _name_failure(folder):
             yield draft
         comm.barrier()
-        on_rank_zero(comm, lambda: _move_into_place(draft, folder))
+        do_with_files(lambda: _move_into_place(draft, folder), comm)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
@@ -76,7 +76,7 @@ def read_times(folder: Path, scene: Mapping) -> dict[str, float] | None:
         return None
 
 
-def on_rank_zero(comm: MPI.Comm, action: Callable[[], T]) -> T:
+def do_with_files(action: Callable[[], T], comm: MPI.Comm) -> T:
     """Does something with files on rank 0 alone; its value, or what it raises, is that of every rank.
 
     Raises:

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError, UnwritableFile
 from ewr_fenicsx.reduced_model import ARRAYS, ReducedModel, read_reduced_model
-from ewr_fenicsx.result_folder import on_rank_zero
+from ewr_fenicsx.result_folder import do_with_files
 
 MODEL = "reduced_model.h5"  # marks the folder as one of these
 ROUNDING = 1e-8  # largest difference of a matrix that is the same, over its largest entry
@@ -30,7 +30,7 @@ def name_work_folder(results: Path) -> Path:
 
 def holds_work(folder: Path, comm: MPI.Comm) -> bool:
     """Whether a folder holds work to go on from; collective."""
-    return on_rank_zero(comm, lambda: _holds_work(folder))
+    return do_with_files(lambda: _holds_work(folder), comm)
 
 
 def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm, own: str) -> ReducedModel:
@@ -46,7 +46,7 @@ def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm, own: str) -
         OutputError: On every rank. The folder holds another scene's work, or files that no run wrote; or it cannot be
             made.
     """
-    begun = on_rank_zero(comm, lambda: _take_up(folder, model, own))
+    begun = do_with_files(lambda: _take_up(folder, model, own), comm)
     return model if begun is None else begun
 
 
@@ -82,7 +82,7 @@ def keep_work(folder: Path | None, comm: MPI.Comm) -> Iterator[None]:
             raise type(error)("; ".join([*error.args, kept])) from error.__cause__
         raise
     if folder is not None:
-        on_rank_zero(comm, lambda: _remove(folder))
+        do_with_files(lambda: _remove(folder), comm)
 
 
 def _holds_work(folder: Path) -> bool:
