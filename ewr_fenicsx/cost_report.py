@@ -15,7 +15,7 @@ from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_set
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors
-from ewr_fenicsx.newton import solve
+from ewr_fenicsx.newton import solve, use_default_weights
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.result_folder import do_with_files, read_summary
@@ -81,7 +81,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     loaded = [h for h, f in problem.loads.items() if h and f.any()]
     if not loaded or not problem.frequency:
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
-    problem = replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot", samples=None)
+    problem = replace(use_default_weights(problem), samples=None)
     with count_progress("reference", 1, progress) as tell:
         find = step_reference if against_time_stepping else solve_reference
         reference, own, name, highest = find(problem, max(loaded))
