@@ -190,7 +190,7 @@ def test_failure_is_an_error_that_carries_the_best_iterate(unreachable):
 
 def test_weights_of_ones_own_fail_where_the_default_ones_do(unreachable):
     """Those take every rung there is: no rung is climbed twice."""
-    with pytest.raises(NotConverged, match="not solved with the default weights: .* Try fewer") as caught:
+    with pytest.raises(NotConverged, match=r"not solved with the default weights: .* Try fewer") as caught:
         solve(replace(PROBLEMS["floating, slip"], rho_normal=1e9), tolerance=unreachable)
     tried = [rung.split(":")[0] for rung in caught.value.best.fallbacks]
     assert tried == ["growing harmonics", "from the default weights"]
