@@ -83,7 +83,7 @@ class FrequencyResponse:
 
     @cached_property
     def unstable(self) -> np.ndarray:
-        """``(n,)`` solutions that are unstable for sure, as between two folds.
+        """``(n,)`` solutions that are unstable as between two folds.
 
         Only where frequencies run back is there a determinant to look at: its sign changes at folds, and else only
         where branches cross (``PeriodicSolution.side``).

@@ -16,7 +16,11 @@ _WINDOW = 6  # periods that the extrapolation looks back on
 
 
 class Watch:
-    """Follows outputs and pair motions from period to period; where there are none, the motion of all masses."""
+    """Follows outputs and pair motions from period to period; where there are none, the motion of all masses.
+
+    Attributes:
+        second_change: Relative change of the last period since the one before the one before it.
+    """
 
     def __init__(self, scheme: TimeScheme):
         self.names = list(scheme.problem.model.outputs)
@@ -25,16 +29,14 @@ class Watch:
         if not self.readers.size:  # bonds alone, and no output: their forces follow from the whole motion
             self.readers = np.diag(np.sqrt(np.maximum(scheme.mass, 0.0)))
         self.history = [np.zeros((0, len(self.names)))]
-        self.previous: RealArray | None = None
+        self.earlier: list[RealArray] = []
+        self.second_change = np.inf
         self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
 
     def measure_change(self, period: Period) -> float:
         """Relative change since the period before, the largest of each output's and of the pair motions' together."""
         motion = period.positions @ self.readers.T
         self.history.append(motion[:, : len(self.names)])
-        previous, self.previous = self.previous, motion
-        if previous is None:
-            return np.inf
         groups = np.minimum(np.arange(motion.shape[1]), len(self.names))
         total = lambda values: np.bincount(groups, weights=np.mean(values**2, axis=0))  # noqa: E731
         modal, weight = period.positions, np.abs(self.readers.T)
@@ -46,8 +48,13 @@ class Watch:
             (_ROUNDED, total(self.pushed)),
         ):
             scale = np.maximum(scale, share**2 * size)
-        change = np.divide(total(motion - previous), scale, out=np.zeros_like(scale), where=scale > 0)
-        return float(np.sqrt(change.max(initial=0.0)))
+        changes = [np.inf, np.inf]
+        for k, before in enumerate(reversed(self.earlier)):
+            change = np.divide(total(motion - before), scale, out=np.zeros_like(scale), where=scale > 0)
+            changes[k] = float(np.sqrt(change.max(initial=0.0)))
+        self.earlier = [*self.earlier, motion][-2:]
+        self.second_change = changes[1]
+        return changes[0]
 
     @property
     def transients(self) -> dict[str, RealArray]:

@@ -15,14 +15,13 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
-from ewr_fenicsx.law_kinds import list_parameters
-from ewr_fenicsx.stability import find_side
+from ewr_fenicsx.ignored import list_ignored
+from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
-ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pull is rounding
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 SECOND = "second_"  # before the name of a history: along the second tangent of pairs in 3-D
 SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
@@ -324,10 +323,11 @@ class PeriodicSolution:
         if self.rigid.size and walks(*self._pose(), DOUBTFUL):
             lines.append(MAY_WALK)
         if self.fallbacks:
-            stable = "this one is unstable" if self.side < 0 else "the stability of this one is not known"
+            stable = "this one is unstable" if self.unstable else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
-        elif self.side < 0:
-            lines.append("unstable: motions in time leave it; integrate(problem) shows where to")
+        elif self.unstable:
+            often = ", most often for one that repeats every second period" if self.alternates else ""
+            lines.append(f"unstable: motions in time leave it{often}; integrate(problem) shows where to")
         return tuple(lines)
 
     def list_reservations(self) -> list[str]:
@@ -336,8 +336,19 @@ class PeriodicSolution:
 
     @cached_property
     def side(self) -> int:
-        """-1 where it is unstable for sure, as between two folds, else 1; 0: not looked at. See ``stability.py``."""
+        """-1 where it is unstable as between two folds, else 1; 0: not looked at. See ``stability.py``."""
         return find_side(*self._pose()) if self.converged and self.problem.system.rows.shape[0] else 0
+
+    @cached_property
+    def alternates(self) -> bool:
+        """Whether motions in time leave it by alternating from period to period; looked at where pairs tap."""
+        taps = any(np.any(state.any(axis=0) & ~state.all(axis=0)) for state in self._open)
+        return self.converged and taps and alternates(self.problem.system, self.forces, self.rigid)
+
+    @property
+    def unstable(self) -> bool:
+        """Whether a real Floquet multiplier is beyond one or minus one; it may be unstable in other ways."""
+        return self.side < 0 or self.alternates
 
     def _pose(self) -> tuple[HarmonicBalance, RealArray]:
         """The balance and its unknowns here; in units of these forces, for full stick would take as long as a step."""
@@ -347,9 +358,13 @@ class PeriodicSolution:
     @cached_property
     def touches(self) -> bool:
         """Whether pairs that may part ever close; True where none may part."""
+        return not self._open or not all(np.all(state) for state in self._open)
+
+    @cached_property
+    def _open(self) -> list[np.ndarray]:
+        """Which pairs are open, ``(n_t, K)``, for each law under which they may part."""
         fields = [seen for law, seen in self.law_fields(self.problem.basis) if law.direction == "normal"]
-        parted = [seen["open"] for seen in fields if "open" in seen]
-        return not parted or not all(np.all(state) for state in parted)
+        return [seen["open"] for seen in fields if "open" in seen]
 
     def summary(self) -> str:
         """A few lines for people."""
@@ -372,24 +387,3 @@ class PeriodicSolution:
             lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)
-
-
-def list_ignored(problem: ContactProblem) -> list[str]:
-    """What a problem states and its laws take no notice of, a line each."""
-    lines = []
-    for pairs, laws in problem.groups:
-        if np.any(laws.initial_gap) and "initial_gap" not in list_parameters("normal", laws.normal):
-            lines.append(f'initial_gap is ignored at pair {pairs[0]}: normal = "{laws.normal}" knows no gap')
-    if problem.wear is not None and np.any(worn := (np.asarray(problem.wear) > 0) & ~problem.opens):
-        lines.append(f"wear is ignored at pair {np.argmax(worn)}: its normal law knows no gap")
-    if not isinstance(problem.closure, str) and "second_tangential" in problem.system.index:
-        lines.append("closure is ignored where pairs have two tangents: dashpots, rho_tangential, close friction there")
-    rubs = np.flatnonzero(problem.friction > 0)
-    given = sample_amplitudes(problem.given_force, rubs, FINE)
-    if np.any(pulls := given < -ROUNDED_FORCE * np.abs(given).max(initial=0.0)):
-        instant, pair = np.unravel_index(np.argmin(given), pulls.shape)
-        lines.append(
-            f"the given normal_force of pair {rubs[pair]} pulls by up to {-given[instant, pair]:.3g} N: it then has "
-            'no friction, but nothing parts; normal = "unilateral" does'
-        )
-    return lines

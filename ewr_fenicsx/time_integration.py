@@ -316,6 +316,8 @@ def integrate(
         reason = f"not steady after {periods} periods"
         if walks_on(last, scheme):
             reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
+        elif follows and watch.second_change <= tolerance:
+            reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
         elif tolerance and theta == UNDAMPED:
             reason += _RINGS
     if last.unsolved:

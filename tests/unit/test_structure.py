@@ -18,7 +18,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing",
     "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics",
-    "compliance", "closure", "layout", "contact_problem", "law_derivatives", "elimination", "newton_step",
+    "compliance", "closure", "layout", "contact_problem", "ignored", "law_derivatives", "elimination", "newton_step",
     "balance", "inexact_step", "stability", "walking", "indicators", "solution", "contact_state", "time_stepping",
     "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton",
     "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining",

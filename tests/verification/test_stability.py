@@ -9,6 +9,7 @@ import pytest
 from small_models import PROBLEMS, dovetail, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
+from ewr_fenicsx.balance import HarmonicBalance
 
 LAWS = ContactLaws(tangential="frictionless", initial_gap=1.0)
 
@@ -67,6 +68,60 @@ def test_what_time_stepping_settles_on_is_on_the_stable_side(name):
     output = next(iter(problem.model.outputs))
     assert abs(steady.output(output)[1] - found.output(output)[1]) < 0.1 * abs(found.output(output)[1])
     assert found.side == 1
+
+
+def pound(frequency: float, damping: float = 0.5, **settings) -> ContactProblem:
+    """A mass that presses on a springy stop for half of its period: its stiffness alternates between 1 and 6."""
+    model = stop_oscillator(excitation=1.0, damping=damping, stop_stiffness=5.0)
+    settings = {"harmonics": 15} | settings
+    return ContactProblem(model, ContactLaws(tangential="frictionless"), frequency, **settings)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "alternates"),
+    [(0.2, 0.05, False), (0.38, 0.05, True), (0.46, 0.05, True), (0.34, 0.5, False), (0.42, 0.5, True)],
+)
+def test_motions_in_time_leave_what_alternates(frequency, damping, alternates):
+    """By factors of 1.6 to 5.6; with other harmonics the same is said."""
+    found = solve(pound(frequency, damping))
+    assert found.side == 1 and found.fallbacks == ()
+    others = [solve(replace(found.problem, harmonics=harmonics)) for harmonics in (5, 30)]
+    assert {solution.alternates for solution in (found, *others)} == {alternates}
+    assert ("leave it, most often for one that repeats every second period" in found.summary()) == alternates
+    assert found.unstable == alternates
+    steady = integrate(found.problem, found, steps=1024, periods=150, tolerance=1e-7, theta=0.52)
+    here, there = abs(found.output("tip")[1]), abs(steady.output("tip")[1])
+    assert steady.converged == (not alternates) == (abs(there / here - 1) < 5e-3)
+
+
+def test_over_two_periods_it_is_periodic():
+    """The remedy that time stepping names: half the frequency, the load at harmonic 2."""
+    problem = pound(0.42)
+    once = integrate(problem, steps=512, theta=0.52)
+    assert once.reason.endswith("step at half the frequency, loads at twice their harmonics") and not once.converged
+    twice = integrate(replace(problem, frequency=0.21, load={2: problem.loads[1]}), steps=1024, theta=0.52)
+    assert twice.converged
+    last_two = 2 / 1024 * np.fft.fft(once.transient("tip")[-1025:-1])
+    np.testing.assert_allclose(np.abs(last_two[1:3]), np.abs(twice.output("tip")[1:3]), rtol=1e-3)
+    assert abs(last_two[1]) > 1.5 * abs(last_two[2]), "the response has mostly half the frequency"
+
+
+@pytest.mark.parametrize("name", [name for name in PROBLEMS if "slip" not in name])
+@pytest.mark.parametrize("over", [False, True])
+def test_both_sides_make_that_of_the_doubled_problem(name, over):
+    """The Jacobian over two periods is that over one and that of the odd harmonics: so are the signs."""
+    problem = pound(0.42, harmonics=7) if over else PROBLEMS[name]
+    found = solve(problem)
+    doubled = stability.see_over_two_periods(found.problem.system)
+    balance = HarmonicBalance(doubled, 1.0)
+    forces = np.zeros((len(doubled.basis.orders), found.forces.shape[1]), dtype=complex)
+    forces[[doubled.basis.orders.index(2 * h) for h in found.orders]] = found.forces
+    unknowns = balance.pack(forces, found.rigid)
+    alternates = stability.alternates(found.problem.system, found.forces, found.rigid)
+    assert stability.find_side(balance, unknowns) == found.side * (-1 if alternates else 1)
+    assert alternates == over
+    if not over:  # a solution there as well, of the same residual
+        assert np.linalg.norm(balance.residual(unknowns)) < 1e-6 * np.linalg.norm(found.forces)
 
 
 def test_the_summary_says_so_of_what_a_fallback_found(branches):
