@@ -73,7 +73,7 @@ def test_a_small_sample():
 @pytest.mark.xfail(
     strict=True,
     raises=AssertionError,
-    reason="target not reached: 99.5 % in 15 steps on average; weights a thousandfold off, and aperiodic motions",
+    reason="target not reached: 99.5 % in 15 steps on average; mean steps, and motions that never become periodic in time",
 )
 def test_a_large_sample():
     usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0)
