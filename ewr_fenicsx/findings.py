@@ -36,7 +36,7 @@ def tell_sweep(curve: FrequencyResponse, idle: IdleHarmonics) -> list[str]:
     lines += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
     lines += _tell_accuracy(curve) if curve.accurate else []
     lost = int(curve.unstable.sum())
-    lines += [f"  {lost} of them are unstable: between folds, where no motion in time stays"] if lost else []
+    lines += [f"  {lost} of them are unstable: no motion in time stays there"] if lost else []
     lines += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     return lines + [f"  jump from {j.frequency[0]:g} to {j.frequency[1]:g} Hz: {j.why}" for j in curve.jumps]
 

@@ -83,15 +83,16 @@ class FrequencyResponse:
 
     @cached_property
     def unstable(self) -> np.ndarray:
-        """``(n,)`` solutions that are unstable as between two folds.
+        """``(n,)`` solutions that motions in time leave: between two folds, or by alternating from period to period.
 
-        Only where frequencies run back is there a determinant to look at: its sign changes at folds, and else only
+        Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
         where branches cross (``PeriodicSolution.side``).
         """
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
         near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        return np.array([bool(at and s.side < 0) for at, s in zip(near, self.solutions, strict=True)], dtype=bool)
+        found = [s.alternates or (at and s.side < 0) for at, s in zip(near, self.solutions, strict=True)]
+        return np.array(found, dtype=bool)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.

@@ -23,8 +23,10 @@ from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.law_derivatives import Derivative
+from ewr_fenicsx.newton_step import NewtonStep
 
-MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: seconds
+MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: a second
 SINGULAR = 1e-12  # smallest pivot over the largest, below which rounding decides the sign: redundant pairs
 
 
@@ -49,38 +51,35 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     """Whether an odd number of real Floquet multipliers are below minus one.
 
     Args:
-        system: What was solved.
+        system: What was solved, with a row at least.
         forces: Its solution's contact forces ``(n_h, m)`` [N].
         rigid: Its rigid coordinates ``(r,)`` [m].
-
-    Returns:
-        False also where there are too many unknowns to look.
     """
-    known = system.basis.orders
-    doubled = see_over_two_periods(system)
-    balance = HarmonicBalance(doubled, float(np.linalg.norm(forces)) or 1.0)
-    if balance.size > MOST_UNKNOWNS:
-        return False
-    orders, spread = doubled.basis.orders, np.zeros((len(doubled.basis.orders), forces.shape[1]), dtype=complex)
-    spread[[orders.index(2 * h) for h in known]] = forces
-    odd = (np.array(orders)[doubled.basis.slot] % 2 == 1)[:, None]
-    picked = np.append((odd & balance.unknown)[balance.unknown], np.zeros(balance.rigid, dtype=bool))
-    jacobian = balance.linearise(balance.pack(spread, rigid)).matrix()
-    return find_sign(jacobian[np.ix_(picked, picked)]) < 0
+    unit = float(np.linalg.norm(forces)) or 1.0
+    between = HarmonicBalance(see_between(system, MOST_UNKNOWNS // (2 * forces.shape[1])), unit)
+    solved = HarmonicBalance(system, unit)
+    derivatives = solved.linearise(solved.pack(forces, rigid)).derivatives
+    step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
+    return between.size > 0 and find_sign(step.matrix()) < 0
 
 
-def see_over_two_periods(system: ContactSystem) -> ContactSystem:
-    """The same system at half the frequency: every harmonic is twice as high, and odd ones come in between."""
-    basis, twice = system.basis, lambda of: {2 * h: amplitude for h, amplitude in of.items()}
-    orders = tuple(sorted({*(2 * h for h in basis.orders), *range(1, 2 * basis.orders[-1], 2)}))
-    load, omega = twice(system.load), system.compliance.omega / 2
-    return replace(
-        system,
-        load=load,
-        prescribed=twice(system.prescribed),
-        basis=FourierBasis(orders, 2 * basis.samples),
-        compliance=condense(system.model, system.rows, load, omega, orders),
-    )
+def see_between(system: ContactSystem, most: int) -> ContactSystem:
+    """The system over two periods at the harmonics in between its own: odd ones, the lowest ``most`` at most."""
+    orders, omega = tuple(range(1, 2 * min(system.basis.orders[-1], most), 2)), system.compliance.omega / 2
+    basis = FourierBasis(orders, 2 * system.basis.samples)
+    compliance = condense(system.model, system.rows, {}, omega, orders)
+    return replace(system, load={}, prescribed={}, basis=basis, compliance=compliance)
+
+
+def repeat(derivative: Derivative) -> Derivative:
+    """A derivative over two periods that are alike; what reaches back to before the first counts from the second."""
+    values, since = np.tile(derivative.values, (2, 1)), derivative.since
+    if since is not None:
+        count = len(since)
+        before = since > np.arange(count)[:, None]
+        later = np.where(since < 0, since, since + count)
+        since = np.vstack([np.where(before, later, since), np.where(before, since, later)])
+    return replace(derivative, values=values, since=since)
 
 
 def find_sign(matrix: RealArray) -> int:

@@ -176,7 +176,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     outputs = [name for name in table if name.startswith("rms_")]
     shown = outputs or ["J_T" if "J_T" in table else "excitation_work"]  # nothing slides where all is bonded
     height = table[shown[0]]
-    strongest = curve.solutions[int(np.where(curve.unstable, -1.0, height).argmax())]
+    strongest = curve.solutions[
+        np.lexsort((height, ~curve.unstable))[-1]
+    ]  # of those that motions in time stay at, if any
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves

@@ -10,6 +10,10 @@ from small_models import PROBLEMS, dovetail, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.compliance import condense
+from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.newton_step import NewtonStep
 
 LAWS = ContactLaws(tangential="frictionless", initial_gap=1.0)
 
@@ -94,6 +98,12 @@ def test_motions_in_time_leave_what_alternates(frequency, damping, alternates):
     assert steady.converged == (not alternates) == (abs(there / here - 1) < 5e-3)
 
 
+def test_a_curve_marks_what_alternates():
+    curve = frequency_response(pound(0.3).model, pound(0.3).laws, np.linspace(0.3, 0.42, 7), 9, progress=False)
+    assert curve.unstable.tolist() == [solution.alternates for solution in curve.solutions]
+    assert not curve.unstable[curve.frequencies < 0.37].any() and curve.unstable[curve.frequencies > 0.41].all()
+
+
 def test_over_two_periods_it_is_periodic():
     """The remedy that time stepping names: half the frequency, the load at harmonic 2."""
     problem = pound(0.42)
@@ -106,22 +116,38 @@ def test_over_two_periods_it_is_periodic():
     assert abs(last_two[1]) > 1.5 * abs(last_two[2]), "the response has mostly half the frequency"
 
 
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if "slip" not in name])
-@pytest.mark.parametrize("over", [False, True])
-def test_both_sides_make_that_of_the_doubled_problem(name, over):
+def see_over_two_periods(system: ContactSystem) -> ContactSystem:
+    """The same system at half the frequency: every harmonic is twice as high, and odd ones come in between."""
+    twice = lambda of: {2 * h: amplitude for h, amplitude in of.items()}  # noqa: E731
+    orders = tuple(sorted({*(2 * h for h in system.basis.orders), *range(1, 2 * system.basis.orders[-1], 2)}))
+    load, basis = twice(system.load), FourierBasis(orders, 2 * system.basis.samples)
+    compliance = condense(system.model, system.rows, load, system.compliance.omega / 2, orders)
+    return replace(system, load=load, prescribed=twice(system.prescribed), basis=basis, compliance=compliance)
+
+
+@pytest.mark.parametrize("name", [*PROBLEMS, "springs", "alternates"])
+def test_both_signs_make_that_of_the_doubled_problem(name):
     """The Jacobian over two periods is that over one and that of the odd harmonics: so are the signs."""
-    problem = pound(0.42, harmonics=7) if over else PROBLEMS[name]
-    found = solve(problem)
-    doubled = stability.see_over_two_periods(found.problem.system)
-    balance = HarmonicBalance(doubled, 1.0)
-    forces = np.zeros((len(doubled.basis.orders), found.forces.shape[1]), dtype=complex)
-    forces[[doubled.basis.orders.index(2 * h) for h in found.orders]] = found.forces
+    more = {"springs": replace(PROBLEMS["lift-off"], closure="spring"), "alternates": pound(0.42, harmonics=7)}
+    found = solve((PROBLEMS | more)[name])
+    doubled = see_over_two_periods(found.problem.system)
+    balance, orders = HarmonicBalance(doubled, 1.0), doubled.basis.orders
+    forces = np.zeros((len(orders), found.forces.shape[1]), dtype=complex)
+    forces[[orders.index(2 * h) for h in found.orders]] = found.forces
     unknowns = balance.pack(forces, found.rigid)
+    assert np.linalg.norm(balance.residual(unknowns)) < 1e-6 * np.linalg.norm(found.forces)
     alternates = stability.alternates(found.problem.system, found.forces, found.rigid)
     assert stability.find_side(balance, unknowns) == found.side * (-1 if alternates else 1)
-    assert alternates == over
-    if not over:  # a solution there as well, of the same residual
-        assert np.linalg.norm(balance.residual(unknowns)) < 1e-6 * np.linalg.norm(found.forces)
+    assert alternates == (name == "alternates")
+    odd = (np.array(orders)[doubled.basis.slot] % 2 == 1)[:, None] & balance.unknown
+    picked = np.append(odd[balance.unknown], np.zeros(balance.rigid, dtype=bool))
+    expected = balance.linearise(unknowns).matrix()
+    assert np.abs(expected[np.ix_(picked, ~picked)]).max() < 1e-12 * np.abs(expected).max()
+    solved = HarmonicBalance(found.problem.system, 1.0)
+    derivatives = solved.linearise(solved.pack(found.forces, found.rigid)).derivatives
+    between = HarmonicBalance(stability.see_between(found.problem.system, 99), 1.0)
+    step = NewtonStep(between, tuple(map(stability.repeat, derivatives)), np.zeros(between.size))
+    np.testing.assert_allclose(step.matrix(), expected[np.ix_(picked, picked)], atol=1e-9 * np.abs(expected).max())
 
 
 def test_the_summary_says_so_of_what_a_fallback_found(branches):
