@@ -302,8 +302,7 @@ def wrap(
     seconds: float,
 ) -> PeriodicSolution:
     """The best attempt as a solution; a problem without a balance is linear and needed none."""
-    full = [a for a in attempts if a.unknowns.size == balance.size]
-    best = min(full, key=lambda a: a.residual) if full else None
+    best = min(attempts, key=lambda a: a.residual, default=None)
     forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
     if best is not None:
         forces, rigid = balance.unpack(best.unknowns)

@@ -54,18 +54,24 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
         system: What was solved, with a row at least.
         forces: Its solution's contact forces ``(n_h, m)`` [N].
         rigid: Its rigid coordinates ``(r,)`` [m].
+
+    Returns:
+        False also where one harmonic alone has too many unknowns to look, or there is none.
     """
+    count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
+    if not count:
+        return False
     unit = float(np.linalg.norm(forces)) or 1.0
-    between = HarmonicBalance(see_between(system, MOST_UNKNOWNS // (2 * forces.shape[1])), unit)
+    between = HarmonicBalance(see_between(system, count), unit)
     solved = HarmonicBalance(system, unit)
     derivatives = solved.linearise(solved.pack(forces, rigid)).derivatives
     step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
-    return between.size > 0 and find_sign(step.matrix()) < 0
+    return find_sign(step.matrix()) < 0
 
 
-def see_between(system: ContactSystem, most: int) -> ContactSystem:
-    """The system over two periods at the harmonics in between its own: odd ones, the lowest ``most`` at most."""
-    orders, omega = tuple(range(1, 2 * min(system.basis.orders[-1], most), 2)), system.compliance.omega / 2
+def see_between(system: ContactSystem, count: int) -> ContactSystem:
+    """The system over two periods at the ``count`` lowest harmonics in between its own: the odd ones."""
+    orders, omega = tuple(range(1, 2 * count, 2)), system.compliance.omega / 2
     basis = FourierBasis(orders, 2 * system.basis.samples)
     compliance = condense(system.model, system.rows, {}, omega, orders)
     return replace(system, load={}, prescribed={}, basis=basis, compliance=compliance)

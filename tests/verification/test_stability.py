@@ -145,7 +145,7 @@ def test_both_signs_make_that_of_the_doubled_problem(name):
     assert np.abs(expected[np.ix_(picked, ~picked)]).max() < 1e-12 * np.abs(expected).max()
     solved = HarmonicBalance(found.problem.system, 1.0)
     derivatives = solved.linearise(solved.pack(found.forces, found.rigid)).derivatives
-    between = HarmonicBalance(stability.see_between(found.problem.system, 99), 1.0)
+    between = HarmonicBalance(stability.see_between(found.problem.system, found.orders[-1]), 1.0)
     step = NewtonStep(between, tuple(map(stability.repeat, derivatives)), np.zeros(between.size))
     np.testing.assert_allclose(step.matrix(), expected[np.ix_(picked, picked)], atol=1e-9 * np.abs(expected).max())
 
@@ -170,5 +170,9 @@ def test_where_it_is_not_looked_at(branches, monkeypatch):
     assert redundant.converged and redundant.side == 0, "rounding decides the sign"
     found = replace(branches["upper"][0])
     assert replace(found, converged=False).side == 0
+    at_rest = solve(replace(found.problem, frequency=0.0, load={0: found.problem.loads[1]}, harmonics=0))
+    assert not stability.alternates(at_rest.problem.system, at_rest.forces, at_rest.rigid)
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 3)
-    assert found.side == 0
+    assert found.side == 0 and solve(pound(0.42)).alternates, "the lowest harmonic in between is enough there"
+    monkeypatch.setattr(stability, "MOST_UNKNOWNS", 1)
+    assert not solve(pound(0.42)).alternates
