@@ -27,7 +27,7 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
     """
     columns = min(2, len(errors))
     lines = -(-len(errors) // columns)
-    figure = Figure(figsize=(6.2 * columns, 4.3 * lines + 1.6), layout="constrained")
+    figure = Figure(figsize=(7.4 * columns, 4.3 * lines + 1.6), layout="constrained")
     grid = figure.subplots(lines, columns, squeeze=False)
     knobs = list(dict.fromkeys(row["knob"] for row in rows))
     for axes, (error, label) in zip(grid.flat, errors.items(), strict=False):
@@ -73,7 +73,8 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
         axes.set(xscale="log", yscale="log")
         _label_points(axes, labelled)
         axes.grid(visible=True, which="major", alpha=0.3)
-        axes.legend(fontsize=6.5, framealpha=0.7, title="knob (p): error ~ time^p", title_fontsize=6.5)
+        beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "frameon": False}  # no point lies under it
+        axes.legend(fontsize=6.5, title="knob (p): error ~ time^p", title_fontsize=6.5, **beside)
     for axes in list(grid.flat)[len(errors) :]:
         axes.set_visible(False)
     figure.suptitle(title)
