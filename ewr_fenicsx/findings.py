@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ewr_fenicsx.symmetry import IdleHarmonics
+from ewr_fenicsx.newton import has_own_weights
+from ewr_fenicsx.symmetry import find_idle_harmonics
 
 if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
+    from ewr_fenicsx.contact_problem import ContactProblem
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
     from ewr_fenicsx.wear import WearHistory
 
@@ -30,13 +32,16 @@ def list_accuracy(found: AccurateSolution) -> dict[str, object]:
     return {"asked": found.accuracy, "reached": found.reached, "limit": limit, "estimate": estimate}
 
 
-def tell_sweep(curve: FrequencyResponse, idle: IdleHarmonics) -> list[str]:
-    """What a curve holds, and what it lacks."""
+def tell_sweep(curve: FrequencyResponse, problem: ContactProblem) -> list[str]:
+    """What a curve of solutions of a problem holds, and what it lacks."""
+    idle = find_idle_harmonics(problem)
     lines = [f"{len(curve.solutions)} solutions from {curve.frequencies[0]:g} to {curve.frequencies[-1]:g} Hz"]
     lines += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
     lines += _tell_accuracy(curve) if curve.accurate else []
     lost = int(curve.unstable.sum())
     lines += [f"  {lost} of them are unstable: no motion in time stays there"] if lost else []
+    usual = count_default_weights(curve, problem)
+    lines += [f"  {usual} of them hold with the default weights and closure: those given led nowhere"] if usual else []
     lines += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
     return lines + [f"  jump from {j.frequency[0]:g} to {j.frequency[1]:g} Hz: {j.why}" for j in curve.jumps]
 
@@ -58,12 +63,18 @@ def _tell_accuracy(curve: FrequencyResponse) -> list[str]:
     return lines
 
 
-def list_facts_of_sweep(curve: FrequencyResponse) -> dict[str, object]:
+def count_default_weights(curve: FrequencyResponse, problem: ContactProblem) -> int:
+    """How many solutions of a curve have the default weights and closure in place of those that the problem gives."""
+    return sum(not has_own_weights(s.problem) for s in curve.solutions) if has_own_weights(problem) else 0
+
+
+def list_facts_of_sweep(curve: FrequencyResponse, problem: ContactProblem) -> dict[str, object]:
     """What decides whether to trust a curve: breaks and gaps, accuracy."""
     facts: dict[str, object] = {
         "sweep": {
             "solutions": len(curve.solutions),
             "unstable": int(curve.unstable.sum()),
+            "with_default_weights": count_default_weights(curve, problem),
             "missing_Hz": list(curve.missing),
             "jumps": [{"from_Hz": j.frequency[0], "to_Hz": j.frequency[1], "why": j.why} for j in curve.jumps],
         }

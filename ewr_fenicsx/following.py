@@ -18,7 +18,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_branch
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.given import ComplexArray
-from ewr_fenicsx.newton import solve, wrap
+from ewr_fenicsx.newton import adopt_weights, solve, wrap
 from ewr_fenicsx.snes import Attempt, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import guide
@@ -122,7 +122,7 @@ def agree(a: PeriodicSolution, b: PeriodicSolution) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Follower:
-    """Follows a branch of solutions along the frequency.
+    """Follows a branch of solutions along the frequency, with the weights and the closure of the solution it begins at.
 
     Args:
         problem_at: Frequency [Hz] -> problem.
@@ -169,13 +169,17 @@ class Follower:
                 here, before = found, here
         return curve
 
+    def _pose(self, frequency: float, here: PeriodicSolution) -> ContactProblem:
+        """The problem on the branch of ``here``, which may have been found with the default weights only."""
+        return adopt_weights(self.problem_at(frequency), here.problem)
+
     def _step(self, f: float, here: PeriodicSolution, before: PeriodicSolution | None) -> tuple:
         """Solution at a frequency, its distance from its prediction and from the point before it."""
         ratio = 1.0
         if before is not None:
             gone = here.problem.frequency - before.problem.frequency
             ratio = (f - here.problem.frequency) / gone if gone > 0 else 0.0
-        found = solve_from(self.problem_at(f), here, before, ratio, self.tolerance)
+        found = solve_from(self._pose(f, here), here, before, ratio, self.tolerance)
         if not found.converged:
             return found, np.inf, np.inf
         state, last = read_state(found), read_state(here)
@@ -207,7 +211,8 @@ class Follower:
         least, most = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest), self.highest + BEYOND * span
 
         def balance_at(frequency: float) -> HarmonicBalance:
-            return HarmonicBalance(self.problem_at(max(frequency, 0.9 * least)).system, unit)  # a trial may go anywhere
+            possible = max(frequency, 0.9 * least)  # a trial may go anywhere
+            return HarmonicBalance(self._pose(possible, here).system, unit)
 
         def as_branch_point(solution: PeriodicSolution) -> BranchPoint:
             balance = balance_at(solution.problem.frequency)
@@ -239,19 +244,21 @@ class Follower:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= TRACED_POINTS:
                 return points, f"{TRACED_POINTS} points of arc-length continuation did not reach it"
-            traced = self._wrap(point, balance_at)
+            traced = self._wrap(point, here, balance_at)
             if point.parameter >= target:
                 earlier = points[-1] if points else here
                 ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)
-                found = solve_from(self.problem_at(target), traced, earlier, ratio, self.tolerance)
+                found = solve_from(self._pose(target, here), traced, earlier, ratio, self.tolerance)
                 if found.converged:
                     return [*points, found], ""
                 return points, f"past its folds, the branch was lost before {target:g} Hz"
             points.append(traced)
         return points, "the branch was lost by arc-length continuation"
 
-    def _wrap(self, point: BranchPoint, balance_at: Callable[[float], HarmonicBalance]) -> PeriodicSolution:
+    def _wrap(
+        self, point: BranchPoint, here: PeriodicSolution, balance_at: Callable[[float], HarmonicBalance]
+    ) -> PeriodicSolution:
         balance = balance_at(point.parameter)
         residual = float(np.linalg.norm(balance.residual(point.unknowns)))
         attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", True)
-        return wrap(self.problem_at(point.parameter), balance, [attempt], (), 0.0)
+        return wrap(self._pose(point.parameter, here), balance, [attempt], (), 0.0)

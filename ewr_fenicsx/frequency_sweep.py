@@ -25,7 +25,7 @@ from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
-from ewr_fenicsx.newton import solve
+from ewr_fenicsx.newton import adopt_weights, has_own_weights, solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, refine_points
@@ -243,7 +243,8 @@ def frequency_response(
         missing = tuple(f for f in targets if f not in found)
         points = curve.points
         if find_idle_harmonics(problem).orders:
-            points = [include_idle(s, replace(problem, frequency=s.problem.frequency)) for s in points]
+            whole = [adopt_weights(replace(problem, frequency=s.problem.frequency), s.problem) for s in points]
+            points = [include_idle(s, posed) for s, posed in zip(points, whole, strict=True)]
         curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
             posed = follower.problem_at(targets[0])
@@ -314,7 +315,8 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
                 curve.extend(follower.follow(curve.points[-2:], [target]))
             here = curve.points[-1]
             same = [i for i, s in enumerate(part.points) if s.problem.frequency == here.problem.frequency]
-            meets = [i for i in same if agree(part.points[i], here)]
+            own = has_own_weights(here.problem)  # one curve has either these or the default ones
+            meets = [i for i in same if agree(part.points[i], here) and has_own_weights(part.points[i].problem) == own]
             if meets:
                 ahead = [jump for jump in part.jumps if jump.frequency[1] > target]
                 curve.extend(Curve(part.points[meets[-1] + 1 :], ahead))

@@ -198,6 +198,12 @@ def use_default_weights(problem: ContactProblem) -> ContactProblem:
     return replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot")
 
 
+def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProblem:
+    """The problem with the weights and the closure of another one; itself where it has these."""
+    named = {name: getattr(other, name) for name in ("rho_normal", "rho_tangential", "closure")}
+    return problem if all(getattr(problem, n) is value for n, value in named.items()) else replace(problem, **named)
+
+
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
     """The full-stick state as an attempt of no steps."""
     unknowns = balance.pack(*balance.full_stick)

@@ -195,8 +195,8 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             curve.unstable,
         )
 
-    told = "\n".join([*findings.tell_sweep(curve, idle), f"strongest at {strongest.summary()}"])
-    course, facts = (curve.frequencies, height), findings.list_facts_of_sweep(curve)
+    told = "\n".join([*findings.tell_sweep(curve, problem), f"strongest at {strongest.summary()}"])
+    course, facts = (curve.frequencies, height), findings.list_facts_of_sweep(curve, problem)
     return Study(chain, strongest, watch.seconds, course, told, write, facts)
 
 
