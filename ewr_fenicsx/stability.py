@@ -21,6 +21,7 @@ import scipy.linalg
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.law_derivatives import Derivative
@@ -56,13 +57,17 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
         rigid: Its rigid coordinates ``(r,)`` [m].
 
     Returns:
-        False also where one harmonic alone has too many unknowns to look, or there is none.
+        False also where one harmonic alone has too many unknowns to look, where there is none, and where one in between
+        hits an undamped mode exactly.
     """
     count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
     if not count:
         return False
     unit = float(np.linalg.norm(forces)) or 1.0
-    between = HarmonicBalance(see_between(system, count), unit)
+    try:
+        between = HarmonicBalance(see_between(system, count), unit)
+    except ModelError:
+        return False
     solved = HarmonicBalance(system, unit)
     derivatives = solved.linearise(solved.pack(forces, rigid)).derivatives
     step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
@@ -70,7 +75,11 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
 
 
 def see_between(system: ContactSystem, count: int) -> ContactSystem:
-    """The system over two periods at the ``count`` lowest harmonics in between its own: the odd ones."""
+    """The system over two periods at the ``count`` lowest harmonics in between its own: the odd ones.
+
+    Raises:
+        ModelError: One of these hits an undamped mode exactly.
+    """
     orders, omega = tuple(range(1, 2 * count, 2)), system.compliance.omega / 2
     basis = FourierBasis(orders, 2 * system.basis.samples)
     compliance = condense(system.model, system.rows, {}, omega, orders)

@@ -12,6 +12,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integra
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton_step import NewtonStep
 
@@ -175,4 +176,11 @@ def test_where_it_is_not_looked_at(branches, monkeypatch):
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 3)
     assert found.side == 0 and solve(pound(0.42)).alternates, "the lowest harmonic in between is enough there"
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 1)
+    assert not solve(pound(0.42)).alternates
+    monkeypatch.undo()
+
+    def hit(*_):
+        raise ModelError("hits an undamped mode exactly")
+
+    monkeypatch.setattr(stability, "condense", hit)
     assert not solve(pound(0.42)).alternates
