@@ -176,9 +176,8 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     outputs = [name for name in table if name.startswith("rms_")]
     shown = outputs or ["J_T" if "J_T" in table else "excitation_work"]  # nothing slides where all is bonded
     height = table[shown[0]]
-    strongest = curve.solutions[
-        np.lexsort((height, ~curve.unstable))[-1]
-    ]  # of those that motions in time stay at, if any
+    by_height = np.lexsort((height, ~curve.unstable))  # those that motions in time stay at come last
+    strongest = curve.solutions[by_height[-1]]
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves
