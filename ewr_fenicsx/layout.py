@@ -102,9 +102,10 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     if np.any(immobile):
         places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
         name, pair = places[int(np.argmax(immobile))]
+        in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
         raise ModelError(
             f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is clamped, or held "
-            "by bonds of others already"
+            f"by bonds of others already; {_free(name, moves_in_plane=not np.all(immobile[in_plane]))}"
         )
     flexibility, mobility = measure_flexibility(kept, rows)
     if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
@@ -113,6 +114,18 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
     return Layout(kept, expansion, rows, index, flexibility, mobility)
+
+
+def _free(direction: str, moves_in_plane: bool) -> str:
+    """What a user may do about a row that nothing moves, though the pair's other tangent may."""
+    if direction == "normal":
+        return "leave the pair out, or prescribe its normal force"
+    if moves_in_plane:
+        return (
+            "turn both tangents of the pair in their plane until neither lies across the line along which it moves, "
+            "say by 45 degrees: friction has no preferred direction"
+        )
+    return "leave the pair out, or make it frictionless"
 
 
 def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:

@@ -270,8 +270,13 @@ def test_laws_that_do_not_fit_the_model_are_refused(model, laws, message):
 def test_a_pair_that_nothing_can_move_is_named():
     model = random_structure()
     clamped = replace(model, normal=model.normal * [[1.0], [0.0], [1.0]])
-    with pytest.raises(ModelError, match="the normal row of pair 1 moves with no coordinate: the pair is clamped"):
+    with pytest.raises(ModelError, match=r"the normal row of pair 1 moves with no coordinate: .* prescribe its normal"):
         ContactProblem(clamped, ContactLaws(), 0.1).system  # noqa: B018
+    ContactProblem(clamped, ContactLaws("prescribed", normal_force=1.0), 0.1).system  # noqa: B018  the remedy
+    clamped = replace(model, tangential=model.tangential * [[1.0], [0.0], [1.0]])
+    with pytest.raises(ModelError, match=r"the tangential row of pair 1 moves with no .* or make it frictionless"):
+        ContactProblem(clamped, ContactLaws(), 0.1).system  # noqa: B018
+    ContactProblem(clamped, ContactLaws(tangential="frictionless"), 0.1).system  # noqa: B018
 
 
 @pytest.mark.parametrize("seed", range(4))
