@@ -100,6 +100,11 @@ class ReducedModel:
             raise ModelError(
                 "the contact rows, normal and tangential, are empty; give a row for each pair, at least one"
             )
+        if self.normal is None and self.pair_area is not None and 2 * np.size(self.pair_area) == pairs:
+            raise ModelError(
+                f"tangential has {pairs} rows for {pairs // 2} areas: without normal rows each is a pair of its own; "
+                f"for two tangents a pair give normal as well, ({pairs // 2}, {n}) zeros where nothing moves so"
+            )
         freeze("pair_area", np.ones(pairs) if self.pair_area is None else _vector("pair_area", self.pair_area, pairs))
         if not np.all(self.pair_area > 0):
             k = int(np.argmin(self.pair_area))

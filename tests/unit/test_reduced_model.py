@@ -53,6 +53,10 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
             r"tangential has 3 rows for 1 pairs; give 1 \(2-D\) or 2 \(3-D, pair-major\)",
         ),
         ({"pair_area": [1.0, 2.0]}, "pair_area has 2 entries; expected 1"),
+        (
+            {"normal": None, "tangential": np.eye(2), "pair_area": [1.0]},
+            r"2 rows for 1 areas: without normal rows each is a pair .* give normal as well, \(1, 2\) zeros",
+        ),
         ({"pair_area": [-2.0]}, r"pair_area\[0\] = -2 m\^2; every tributary area must be positive"),
         ({"pair_area": [0.0]}, r"pair_area\[0\] = 0 m\^2"),
         ({"load": {0: [1j, 0.0]}}, r"load\[0\] is the mean load and must be real"),
