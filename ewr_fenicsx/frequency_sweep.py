@@ -40,7 +40,7 @@ BLOCK = 6  # given frequencies a block
 _RESULTS = "frequency_response.h5"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponse:
     """Periodic solutions along a curve.
 
@@ -55,6 +55,11 @@ class FrequencyResponse:
     jumps: tuple[Jump, ...]
     missing: tuple[float, ...]
     accurate: tuple[AccurateSolution, ...] = ()
+
+    def __repr__(self) -> str:
+        at = self.frequencies
+        span = f" from {at[0]:g} to {at[-1]:g} Hz" if at.size else ""
+        return f"FrequencyResponse({at.size} solutions{span}, {len(self.jumps)} jumps, {len(self.missing)} missing)"
 
     @cached_property
     def frequencies(self) -> RealArray:

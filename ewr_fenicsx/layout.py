@@ -105,7 +105,7 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
         raise ModelError(
             f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is clamped, or held "
-            f"by bonds of others already; {_free(name, moves_in_plane=not np.all(immobile[in_plane]))}"
+            f"by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
         )
     flexibility, mobility = measure_flexibility(kept, rows)
     if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
@@ -116,7 +116,7 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     return Layout(kept, expansion, rows, index, flexibility, mobility)
 
 
-def _free(direction: str, moves_in_plane: bool) -> str:
+def _advise(direction: str, moves_in_plane: bool) -> str:
     """What a user may do about a row that nothing moves, though the pair's other tangent may."""
     if direction == "normal":
         return "leave the pair out, or prescribe its normal force"

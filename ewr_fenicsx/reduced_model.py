@@ -32,7 +32,11 @@ _FORMAT = "ewr_fenicsx reduced model, 1"
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
 _NULL = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
-_REMEDY = "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest"
+_REMEDIES = {  # what to do about complex ones
+    "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest",
+    "normal": "give real rows, in real coordinates",
+    "tangential": "give real rows, in real coordinates",
+}
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -278,7 +282,7 @@ def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
 
 
 def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None)) -> RealArray:
-    matrix = np.atleast_2d(read_numbers(name, value, remedy=_REMEDY))
+    matrix = np.atleast_2d(read_numbers(name, value, remedy=_REMEDIES.get(name, "give a real one")))
     expected = tuple("any" if s is None else s for s in shape)
     if matrix.ndim != 2 or any(s is not None and s != got for s, got in zip(shape, matrix.shape, strict=True)):
         raise ModelError(f"{name} has shape {matrix.shape}; expected ({expected[0]}, {expected[1]})")

@@ -27,7 +27,7 @@ SECOND = "second_"  # before the name of a history: along the second tangent of 
 SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PeriodicSolution:
     """Result of ``solve``; the histories and figures of merit are computed when asked for.
 
@@ -57,9 +57,13 @@ class PeriodicSolution:
     residual: float
     seconds: float
     unknowns: int
-    stages: Mapping[str, float] = field(default_factory=dict, repr=False)
+    stages: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[int, ...] = ()
     why_left_out: str = ""
+
+    def __repr__(self) -> str:
+        where = f"{self.problem.frequency:g} Hz, {self.problem.model.pairs} pairs, harmonics up to {self.orders[-1]}"
+        return f"PeriodicSolution({where}, {self.iterations} Newton steps: {self.reason})"
 
     @property
     def orders(self) -> tuple[int, ...]:

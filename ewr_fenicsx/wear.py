@@ -27,7 +27,7 @@ from ewr_fenicsx.wear_store import WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WearHistory:
     """What a joint wears.
 
@@ -46,6 +46,10 @@ class WearHistory:
     solves: int
     stopped: str | None
     accuracy: float | None = None
+
+    def __repr__(self) -> str:
+        told = f"stopped {self.stopped}" if self.stopped else "to the last one"
+        return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
 
     @cached_property
     def cycles(self) -> np.ndarray:

@@ -92,6 +92,7 @@ def test_several_values_of_a_parameter_give_a_curve_each():
 def test_a_linear_joint_is_swept_without_newton():
     curve = sweep(laws=ContactLaws("bonded", "bonded"))
     assert [s.unknowns for s in curve.solutions] == [0] * 9
+    assert repr(curve) == "FrequencyResponse(9 solutions from 0.08 to 0.4 Hz, 0 jumps, 0 missing)"
 
 
 def test_table_and_files_hold_the_curve(tmp_path):

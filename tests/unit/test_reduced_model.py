@@ -40,6 +40,7 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ),
         ({"stiffness": np.eye(2) * (1 + 0.01j)}, "stiffness = .* is complex; give real .* structural damping belongs"),
         ({"mass": [[1.0, 1j], [1j, 1.0]]}, "mass = .* is complex"),
+        ({"normal": [[1j, 0.0]]}, "normal = .* is complex; give real rows"),
         ({"mass": "a"}, "mass = 'a'; give numbers"),
         ({"mass": None}, "mass = None; give numbers"),
         ({"mass": [[1.0, 0.0], [0.0]]}, "mass = .* has rows of unequal lengths"),

@@ -276,6 +276,8 @@ def test_summary_is_for_people(rubbing):
     assert rubbing.summary().startswith("0.2 Hz, harmonics 0..5: converged in ")
     lost = replace(rubbing, converged=False, reason="too many Newton steps", fallbacks=("half the load",))
     assert "NOT converged (too many Newton steps)" in lost.summary() and "fallback: half the load" in lost.summary()
+    assert repr(lost).startswith("PeriodicSolution(0.2 Hz, 1 pairs, harmonics up to 5, ")
+    assert "too many Newton steps" in repr(lost) and "array" not in repr(lost)
 
 
 def test_a_summary_says_where_truncation_is_coarse(rubbing):

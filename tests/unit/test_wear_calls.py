@@ -30,7 +30,12 @@ def test_a_joint_that_cannot_wear_is_refused():
 
 def test_the_mean_depth_is_the_volume_over_the_area():
     """Pairs stand for areas of their own: at the ends of a flank for half of the others'."""
-    table = evolve_wear(pose(), 2, WEAR).table()
+    history = evolve_wear(pose(), 2, WEAR)
+    table = history.table()
+    assert (
+        repr(history)
+        == f"WearHistory({len(history.steps)} steps to cycle 2 in {history.solves} solves, to the last one)"
+    )
     np.testing.assert_allclose(table["mean depth [m]"] * dovetail().pair_area.sum(), table["volume [m^3]"], rtol=1e-14)
     assert table["volume [m^3]"][-1] > 0
 
