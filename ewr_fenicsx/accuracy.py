@@ -117,6 +117,8 @@ def solve_to_accuracy(
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
     From the second set of harmonics on springs close the truncation of Coulomb's law, as long as they find a solution.
+    Only the first solve, and the first with more modes, take fallbacks: where more harmonics lead nowhere without, what
+    was found before stays.
 
     Args:
         problem: The problem; its own harmonics and samples are not used; a weight ``rho_tangential`` or springs that
@@ -159,12 +161,13 @@ def solve_to_accuracy(
     density, dropped = float(SAMPLES), frozenset()
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
-    solution, estimate, limit, springs = start, None, "", True
+    solution, estimate, limit, remedy, springs = start, None, "", AccurateSolution.remedy, True
     while not limit:
         posed = pose_level(problem, top, density, dropped, springs)
         chosen = posed.has_springs and not problem.has_springs
+        near = bool(levels) and len(modes) == levels[-1].modes  # the ladder is long, and hardly ever helps there
         try:
-            found = solve(posed, solution, tolerance, fallbacks=not chosen)
+            found = solve(posed, solution, tolerance, fallbacks=not (chosen or near))
         except NotConverged as error:
             if chosen:
                 springs = False  # dashpots are sturdier
@@ -172,6 +175,7 @@ def solve_to_accuracy(
             if not levels:
                 raise
             limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
+            remedy = "ask for less, or solve with harmonics of your own, which takes every fallback"
             break
         tried += tuple(f"harmonics up to {top}: {rung}" for rung in found.fallbacks)
         found = replace(found, fallbacks=tried)
@@ -210,9 +214,8 @@ def solve_to_accuracy(
                 full = f"more harmonics than {top} take more than {most_unknowns} unknowns"
                 limit = hit if top >= highest else full
             top = raised
-    return AccurateSolution(
-        solution, estimate, accuracy, estimate.total <= accuracy, limit, tuple(levels), time.perf_counter() - begin
-    )
+    seconds, reached = time.perf_counter() - begin, estimate.total <= accuracy
+    return AccurateSolution(solution, estimate, accuracy, reached, limit, tuple(levels), seconds, remedy)
 
 
 def check_accuracy(accuracy: float) -> None:

@@ -33,7 +33,7 @@ _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which
 _NULL = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDIES = {  # what to do about complex ones
-    "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at the frequency of interest",
+    "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at its frequency",
     "normal": "give real rows, in real coordinates",
     "tangential": "give real rows, in real coordinates",
 }

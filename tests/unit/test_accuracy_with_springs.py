@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy import FIRST_ORDER
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import holds_springs, measure_distance
@@ -68,5 +69,22 @@ def test_where_springs_find_no_solution_dashpots_go_on(monkeypatch, truth_behind
     assert found.reached and not found.solution.problem.has_springs and not found.solution.fallbacks
     assert measure_distance(found.solution, truth_behind_springs) <= 0.003
     (first, *_), (second, *_) = tried[0], tried[1]
-    assert tried[:3] == [(first, False, True), (second, True, False), (second, False, True)], "no ladder for springs"
+    assert tried[:3] == [(first, False, True), (second, True, False), (second, False, False)], "one ladder at most"
     assert not any(springs for _, springs, _ in tried[3:])
+
+
+def test_where_more_harmonics_find_no_solution_the_one_before_stays(monkeypatch):
+    """The ladder from there is long and hardly ever leads further: what came in the way is said, and a remedy."""
+
+    def refuse_many(problem, start, tolerance, *, fallbacks):
+        found = solve(problem, start, tolerance)
+        if problem.basis.orders[-1] > FIRST_ORDER:
+            assert not fallbacks
+            raise NotConverged("as if", best=replace(found, reason="as if"))
+        return found
+
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_many)
+    found = solve_to_accuracy(rub_behind_springs(), 0.003)
+    assert not found.reached and found.solution.orders[-1] == FIRST_ORDER and len(found.levels) == 1
+    assert "no solution found with harmonics up to" in found.limit and ": as if" in found.limit
+    assert "solve with harmonics of your own" in found.summary()
