@@ -99,6 +99,15 @@ def assemble_vector(form) -> PETSc.Vec:
     return vector
 
 
+def free_matrices(comm: PETSc.Comm) -> None:
+    """Frees the PETSc objects of a communicator that Python has let go of; collective.
+
+    From PETSc 3.18 on nothing else does: a rank that collects garbage cannot destroy what other ranks still use.
+    """
+    if hasattr(PETSc, "garbage_cleanup"):
+        PETSc.garbage_cleanup(comm)
+
+
 def cell_dofs(space, cells: Sequence[int]) -> np.ndarray:
     """Local block numbers of the given cells, cell after cell."""
     return np.array([dof for cell in cells for dof in space.dofmap.cell_dofs(cell)], dtype=np.int64)

@@ -9,16 +9,20 @@ Source: Craig & Bampton (1968), doi:10.2514/3.4741.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import dolfinx
 import numpy as np
 import scipy.linalg
+import scipy.sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from ewr_fenicsx import _compat
 from ewr_fenicsx.elasticity import Structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import Interface
@@ -27,6 +31,7 @@ from ewr_fenicsx.reduced_model import ReducedModel
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
 _FULL_STICK_MODES = 6  # kept for pictures and reports
+_BLOCK = 32  # columns solved or multiplied at once: matrices and factors are read once for all of them
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,8 @@ class CraigBampton:
 
     Attributes:
         model: For the contact solver; the same on every rank.
-        basis: This rank's rows of the basis, ``(owned dofs, n)``; clamped rows are zero.
+        basis: This rank's rows of the basis, ``(owned dofs, n)``, column after column; clamped rows are zero. By far
+            the largest array of all.
         interface: The pairs.
         fixed_interface_frequencies: ``(m,)`` [Hz].
         full_stick: Lowest modes of the bonded joint, from the sparse matrices.
@@ -100,18 +106,21 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
     contact = _contact_dofs(interface, fixed)
     interior = _cut_interior(structure, contact)
-    boundary = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
-    dense = structure.stiffness.createSubMatrix(interior.rows, boundary).convert("dense")
-    coupling = dense.getDenseArray()  # a view: valid while the matrix lives
-    column = {int(dof): k for k, dof in enumerate(np.concatenate(comm.allgather(interior.boundary)))}
-    coupling = coupling[:, [column[int(dof)] for dof in contact]]
-    forces = [load.vector.array[interior.dofs - first] for load in structure.loads]
-    responses = _solve_statics(interior.stiffness, np.column_stack([-coupling, *forces]))
     found = solve_modes(interior.stiffness, interior.mass, modes)
-    shapes = np.column_stack([vector.array for vector in found.vectors])
-    basis = _compose_basis(structure, interior, contact, np.split(responses, [len(contact)], axis=1), shapes)
+    _compat.free_matrices(structure.mass.comm)  # before the wide basis takes its memory
+    coupling = _couple_contact(structure, interior, contact)
+    solve = _factorise(interior.stiffness)
+    forces = [load.vector.array[interior.dofs - first] for load in structure.loads]
+    responses = solve(_columns(forces, len(interior.dofs)))
+    constraint = (solve(-coupling[:, block].toarray(order="F")) for block in _blocks(len(contact)))
+    shapes = _columns([vector.array for vector in found.vectors], len(interior.dofs))
+    basis = _compose_basis(structure, interior, contact, constraint, shapes, responses)
+    del solve, constraint
+    _compat.free_matrices(structure.mass.comm)  # the factors among them
     model = _project(structure, interface, basis, contact)
     full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
+    del interior
+    _compat.free_matrices(structure.mass.comm)
     return CraigBampton(model, basis, interface, found.frequency, full_stick, contact, structure)
 
 
@@ -131,8 +140,9 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
         raise ModesError(f"{modes} modes asked for; give more than the {len(known)} there are, at most "
                          f"{reduction.most_modes}, as many as the interior has degrees of freedom")  # fmt: skip
     interior = _cut_interior(structure, contact)
-    here = reduction.basis[interior.dofs - structure.mass.getOwnershipRange()[0]]
-    static, shapes, loads = np.split(here, [known.start, known.stop], axis=1)
+    here = interior.dofs - structure.mass.getOwnershipRange()[0]
+    constraint = (reduction.basis[here, block] for block in _blocks(len(contact)))
+    shapes, loads = reduction.basis[here, known.start : known.stop], reduction.basis[here, known.stop :]
     vectors = []
     for shape in shapes.T:
         vectors.append(interior.mass.createVecRight())
@@ -140,10 +150,12 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
     found = solve_modes(interior.stiffness, interior.mass, modes - len(known), known=vectors)
     frequencies = np.concatenate([reduction.fixed_interface_frequencies, found.frequency])
     rising = np.argsort(frequencies, kind="stable")
-    shapes = np.column_stack([shapes, *(vector.array for vector in found.vectors)])[:, rising]
+    shapes = _columns([*shapes.T, *(vector.array for vector in found.vectors)], len(here))[:, rising]
     # what the load responses had outside the modes there were is all that can lie outside more of them
-    basis = _compose_basis(structure, interior, contact, (static, loads), shapes)
+    basis = _compose_basis(structure, interior, contact, constraint, shapes, loads)
     model = _project(structure, reduction.interface, basis, contact)
+    del interior, vectors
+    _compat.free_matrices(structure.mass.comm)
     return replace(reduction, model=model, basis=basis, fixed_interface_frequencies=frequencies[rising])
 
 
@@ -167,8 +179,21 @@ def _cut_interior(structure: Structure, contact: np.ndarray) -> _Interior:
     return _Interior(dofs, rows, boundary, *matrices)
 
 
+def _couple_contact(structure: Structure, interior: _Interior, contact: np.ndarray) -> scipy.sparse.csr_matrix:
+    """This rank's rows of the stiffness between interior and contact degrees of freedom, ``(rows, n_c)``."""
+    boundary = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
+    starts, columns, values = structure.stiffness.createSubMatrix(interior.rows, boundary).getValuesCSR()
+    place = np.argsort(contact)[columns]  # the columns are sorted by number, on each rank and from rank to rank
+    return scipy.sparse.csr_matrix((values, place, starts), shape=(len(interior.dofs), len(contact)))
+
+
 def _compose_basis(
-    structure: Structure, interior: _Interior, contact: np.ndarray, static: Sequence[np.ndarray], shapes: np.ndarray
+    structure: Structure,
+    interior: _Interior,
+    contact: np.ndarray,
+    constraint: Iterable[np.ndarray],
+    shapes: np.ndarray,
+    responses: np.ndarray,
 ) -> np.ndarray:
     """Columns of the basis: constraint modes, fixed-interface modes, and what load responses have outside of these.
 
@@ -176,13 +201,16 @@ def _compose_basis(
         structure: What is reduced.
         interior: Its interior.
         contact: Numbers of the contact degrees of freedom.
-        static: Constraint modes ``(rows, n_c)`` and responses to loads ``(rows, l)`` in the interior.
+        constraint: Constraint modes in the interior, some columns at a time, so that they are in memory but once.
         shapes: Fixed-interface modes ``(rows, m)``, mass-orthonormal.
+        responses: To loads, ``(rows, l)``.
     """
     first, last = structure.mass.getOwnershipRange()
-    columns = np.column_stack([static[0], shapes, _residual_vectors(static[1], shapes, interior.mass)])
-    basis = np.zeros((last - first, columns.shape[1]))
-    basis[interior.dofs - first] = columns
+    rest = _residual_vectors(responses, shapes, interior.mass)
+    basis = np.zeros((last - first, len(contact) + shapes.shape[1] + rest.shape[1]), order="F")
+    columns = itertools.chain.from_iterable(block.T for block in itertools.chain(constraint, (shapes, rest)))
+    for k, column in enumerate(columns):
+        basis[interior.dofs - first, k] = column
     for k, dof in enumerate(contact):
         if first <= dof < last:
             basis[dof - first, k] = 1.0
@@ -206,19 +234,22 @@ def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:
     return dofs[~held]
 
 
-def _solve_statics(stiffness: PETSc.Mat, forces: np.ndarray) -> np.ndarray:
-    """``stiffness^-1 forces``, this rank's rows, with one factorisation."""
-    solver = PETSc.KSP().create(stiffness.comm)
-    solver.setOperators(stiffness)
+def _factorise(matrix: PETSc.Mat) -> Callable[[np.ndarray], np.ndarray]:
+    """Factorises a matrix; returns ``X = matrix^-1 F`` as a function of ``F (rows, k)``, this rank's rows."""
+    solver = PETSc.KSP().create(matrix.comm)
+    solver.setOperators(matrix)
     use_mumps(solver)
     solver.setUp()
-    force, response = stiffness.createVecLeft(), stiffness.createVecRight()
-    responses = np.empty_like(forces)
-    for k in range(forces.shape[1]):
-        force.array[:] = forces[:, k]
-        solver.solve(force, response)
-        responses[:, k] = response.array
-    return responses
+    factors = solver.getPC().getFactorMatrix()
+
+    def solve(forces: np.ndarray) -> np.ndarray:
+        responses = np.empty_like(forces, order="F")
+        if forces.shape[1]:
+            with _wrap(matrix, forces) as right, _wrap(matrix, responses) as found:
+                factors.matSolve(right, found)
+        return responses
+
+    return solve
 
 
 def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat) -> np.ndarray:
@@ -250,8 +281,11 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
     count, contacts = basis.shape[1], len(contact)
 
     def project(matrix: PETSc.Mat) -> np.ndarray:
-        reduced = _sum(basis.T @ _multiply(matrix, basis), comm)
-        return 0.5 * (reduced + reduced.T)
+        lower = np.zeros((count, count))
+        for block in _blocks(count):
+            lower[block.start :, block] = basis[:, block.start :].T @ _multiply(matrix, basis[:, block])
+        lower = np.tril(_sum(lower, comm))
+        return lower + np.tril(lower, -1).T
 
     def rows(operator) -> np.ndarray:
         return np.hstack([operator[:, contact].toarray(), np.zeros((operator.shape[0], count - contacts))])
@@ -330,13 +364,31 @@ def _rigid_motions(
 
 def _multiply(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
     """Distributed sparse matrix times this rank's rows of dense columns."""
-    x, y = matrix.createVecRight(), matrix.createVecLeft()
-    product = np.empty((y.getLocalSize(), columns.shape[1]))
-    for k in range(columns.shape[1]):
-        x.array[:] = columns[:, k]
-        matrix.mult(x, y)
-        product[:, k] = y.array
-    return product
+    with _wrap(matrix, columns) as right:
+        product = matrix.matMult(right)
+        array = product.getDenseArray().copy(order="F")
+        product.destroy()
+    return array
+
+
+@contextmanager
+def _wrap(matrix: PETSc.Mat, columns: np.ndarray) -> Iterator[PETSc.Mat]:
+    """This rank's rows of dense columns as PETSc takes them, distributed like the columns of a square matrix."""
+    size = (matrix.getSizes()[1], (None, columns.shape[1]))
+    dense = PETSc.Mat().createDense(size, array=np.asfortranarray(columns), comm=matrix.comm)
+    dense.assemble()
+    yield dense
+    dense.destroy()
+
+
+def _columns(vectors: Iterable[np.ndarray], rows: int) -> np.ndarray:
+    """Vectors side by side, ``(rows, k)``; k may be zero."""
+    return np.array([*vectors]).reshape(-1, rows).T
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """Ranges of at most ``_BLOCK`` columns."""
+    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
 
 
 def _inner(x: np.ndarray, y: np.ndarray, comm: MPI.Comm) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import tracemalloc
 from itertools import pairwise
 from math import pi
 from pathlib import Path
@@ -348,3 +350,23 @@ def test_no_more_modes_than_there_are():
     for count in (3, reduction.most_modes + 1):
         with pytest.raises(ModesError, match=f"{count} modes asked for; give more than the 3 there are, at most"):
             keep_more_modes(reduction, count)
+
+
+def measure_memory() -> int:
+    """Resident memory of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def test_the_basis_is_in_memory_but_once_and_reducing_again_takes_no_more():
+    structure, interface = assemble(FIR_TREE, {"mesh_size": 8e-4})
+    tracemalloc.start()
+    reduction = reduce_structure(structure, interface)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert reduction.basis.flags.f_contiguous
+    assert peak < 2.5 * reduction.basis.nbytes
+    seen = []
+    for _ in range(4):
+        reduction = reduce_structure(structure, interface)
+        seen.append(measure_memory())
+    assert seen[-1] - seen[1] < reduction.basis.nbytes
