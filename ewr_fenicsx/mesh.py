@@ -343,8 +343,9 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
 
 def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], cell_kind: int) -> None:
     """Every named facet must be the facet of a cell: dolfinx drops the others, or crashes."""
-    list_facets = gmsh.model.mesh.getElementEdgeNodes if dimension == 2 else gmsh.model.mesh.getElementFaceNodes
-    for entity, name in _find_owners(source, dimension - 1, boundaries).items():
+    facets: dict[int, np.ndarray] = {}
+    owner = _find_owners(source, dimension - 1, boundaries)
+    for entity, name in owner.items():
         kinds, _, nodes = gmsh.model.mesh.getElements(dimension - 1, entity)
         if len(kinds) != 1:
             raise MeshError(
@@ -352,15 +353,24 @@ def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], c
                 "faces; expected one. Is it the edge of a meshed body?"
             )
         _, _, _, size, _, corners = gmsh.model.mesh.getElementProperties(kinds[0])
-        named = np.sort(nodes[0].reshape(-1, size)[:, :corners], axis=1)
-        sides = list_facets(cell_kind, *(() if dimension == 2 else (corners,)), primary=True)
-        sides = np.sort(np.asarray(sides).reshape(-1, corners), axis=1)
-        _, number = np.unique(np.concatenate([sides, named]), axis=0, return_inverse=True)
-        loose = np.count_nonzero(~np.isin(number.ravel()[len(sides) :], number.ravel()[: len(sides)]))
-        if loose:
+        facets[entity] = np.sort(nodes[0].reshape(-1, size)[:, :corners], axis=1)
+    if not facets:
+        return
+    named = np.concatenate(list(facets.values()))
+    if dimension == 2:
+        sides = gmsh.model.mesh.getElementEdgeNodes(cell_kind, primary=True)
+    else:
+        sides = gmsh.model.mesh.getElementFaceNodes(cell_kind, corners, primary=True)
+    sides = np.asarray(sides).reshape(-1, corners)
+    sides = np.sort(sides[np.isin(sides, named).all(axis=1)], axis=1)  # few: sorting whole rows is slow
+    number = np.unique(np.concatenate([sides, named]), axis=0, return_inverse=True)[1].ravel()
+    loose = ~np.isin(number[len(sides) :], number[: len(sides)])
+    ends = np.cumsum([len(of_entity) for of_entity in facets.values()])
+    for entity, mine in zip(facets, np.split(loose, ends[:-1]), strict=True):
+        if mine.any():
             raise MeshError(
-                f'{source}: boundary "{name}": {loose} of {len(named)} facets of entity {entity} belong to '
-                "no cell; is it the edge of a meshed body?"
+                f'{source}: boundary "{owner[entity]}": {np.count_nonzero(mine)} of {len(mine)} facets of entity '
+                f"{entity} belong to no cell; is it the edge of a meshed body?"
             )
 
 
