@@ -103,11 +103,11 @@ class Structure:
         thickness: Out of plane [m].
         mass: Sparse [kg].
         stiffness: Sparse [N/m].
-        damping: Sparse [N s/m]; zero where damping is per mode.
+        rayleigh: Coefficients of the damping matrix; zero where damping is per mode.
         fixed_dofs: Global numbers of the clamped degrees of freedom that this rank owns, sorted.
         loads: Nodal forces.
         outputs: Name -> row of the mean displacement.
-        modal_damping: Ratio of critical damping a mode, applied in the reduced basis; None: ``damping`` has it all.
+        modal_damping: Ratio of critical damping a mode, applied in the reduced basis; None: ``rayleigh`` has it all.
     """
 
     mesh: JointMesh
@@ -115,11 +115,19 @@ class Structure:
     thickness: float
     mass: PETSc.Mat
     stiffness: PETSc.Mat
-    damping: PETSc.Mat
+    rayleigh: Rayleigh
     fixed_dofs: np.ndarray
     loads: tuple[Load, ...]
     outputs: Mapping[str, PETSc.Vec]
     modal_damping: float | None
+
+    @property
+    def damping(self) -> PETSc.Mat:
+        """Sparse ``alpha M + beta K`` [N s/m], assembled anew."""
+        matrix = self.mass.copy()
+        matrix.scale(self.rayleigh.alpha)
+        matrix.axpy(self.rayleigh.beta, self.stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        return matrix
 
     @cached_property
     def part(self) -> np.ndarray:
@@ -192,18 +200,13 @@ def assemble_structure(
 
     if isinstance(damping, RayleighRatios):
         damping = damping.rayleigh()
-    damping_matrix = mass.copy()
-    damping_matrix.scale(damping.alpha if isinstance(damping, Rayleigh) else 0.0)
-    if isinstance(damping, Rayleigh) and damping.beta:
-        damping_matrix.axpy(damping.beta, stiffness, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-
     return Structure(
         mesh=mesh,
         space=space,
         thickness=thickness,
         mass=mass,
         stiffness=stiffness,
-        damping=damping_matrix,
+        rayleigh=damping if isinstance(damping, Rayleigh) else UNDAMPED,
         fixed_dofs=_clamped_dofs(mesh, space, clamp),
         loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
         outputs={o.name: mean_over_edge(space, _outer_facets(mesh, o.boundary), _unit(o)) for o in outputs},

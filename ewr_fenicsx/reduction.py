@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import dolfinx
@@ -23,15 +22,15 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ewr_fenicsx import _compat
+from ewr_fenicsx.columns import blocks, factorise, multiply, stack_columns
 from ewr_fenicsx.elasticity import Structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.modes import Modes, find_floating_parts, full_stick_modes, solve_modes, use_mumps
+from ewr_fenicsx.modes import Modes, find_floating_parts, full_stick_modes, solve_modes
 from ewr_fenicsx.reduced_model import ReducedModel
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
 _FULL_STICK_MODES = 6  # kept for pictures and reports
-_BLOCK = 32  # columns solved or multiplied at once: matrices and factors are read once for all of them
 
 
 @dataclass(frozen=True)
@@ -109,11 +108,11 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     found = solve_modes(interior.stiffness, interior.mass, modes)
     _compat.free_matrices(structure.mass.comm)  # before the wide basis takes its memory
     coupling = _couple_contact(structure, interior, contact)
-    solve = _factorise(interior.stiffness)
+    solve = factorise(interior.stiffness)
     forces = [load.vector.array[interior.dofs - first] for load in structure.loads]
-    responses = solve(_columns(forces, len(interior.dofs)))
-    constraint = (solve(-coupling[:, block].toarray(order="F")) for block in _blocks(len(contact)))
-    shapes = _columns([vector.array for vector in found.vectors], len(interior.dofs))
+    responses = solve(stack_columns(forces, len(interior.dofs)))
+    constraint = (solve(-coupling[:, block].toarray(order="F")) for block in blocks(len(contact)))
+    shapes = stack_columns([vector.array for vector in found.vectors], len(interior.dofs))
     basis = _compose_basis(structure, interior, contact, constraint, shapes, responses)
     del solve, constraint
     _compat.free_matrices(structure.mass.comm)  # the factors among them
@@ -141,7 +140,7 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
                          f"{reduction.most_modes}, as many as the interior has degrees of freedom")  # fmt: skip
     interior = _cut_interior(structure, contact)
     here = interior.dofs - structure.mass.getOwnershipRange()[0]
-    constraint = (reduction.basis[here, block] for block in _blocks(len(contact)))
+    constraint = (reduction.basis[here, block] for block in blocks(len(contact)))
     shapes, loads = reduction.basis[here, known.start : known.stop], reduction.basis[here, known.stop :]
     vectors = []
     for shape in shapes.T:
@@ -150,7 +149,7 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
     found = solve_modes(interior.stiffness, interior.mass, modes - len(known), known=vectors)
     frequencies = np.concatenate([reduction.fixed_interface_frequencies, found.frequency])
     rising = np.argsort(frequencies, kind="stable")
-    shapes = _columns([*shapes.T, *(vector.array for vector in found.vectors)], len(here))[:, rising]
+    shapes = stack_columns([*shapes.T, *(vector.array for vector in found.vectors)], len(here))[:, rising]
     # what the load responses had outside the modes there were is all that can lie outside more of them
     basis = _compose_basis(structure, interior, contact, constraint, shapes, loads)
     model = _project(structure, reduction.interface, basis, contact)
@@ -234,34 +233,16 @@ def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:
     return dofs[~held]
 
 
-def _factorise(matrix: PETSc.Mat) -> Callable[[np.ndarray], np.ndarray]:
-    """Factorises a matrix; returns ``X = matrix^-1 F`` as a function of ``F (rows, k)``, this rank's rows."""
-    solver = PETSc.KSP().create(matrix.comm)
-    solver.setOperators(matrix)
-    use_mumps(solver)
-    solver.setUp()
-    factors = solver.getPC().getFactorMatrix()
-
-    def solve(forces: np.ndarray) -> np.ndarray:
-        responses = np.empty_like(forces, order="F")
-        if forces.shape[1]:
-            with _wrap(matrix, forces) as right, _wrap(matrix, responses) as found:
-                factors.matSolve(right, found)
-        return responses
-
-    return solve
-
-
 def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat) -> np.ndarray:
     """The part of the load responses that the modes do not hold, mass-orthonormal; negligible ones are left out."""
     comm = mass.comm.tompi4py()
     basis = shapes
     for response in responses.T:
         rest = response.copy()
-        size = math.sqrt(_inner(rest, _multiply(mass, rest[:, None])[:, 0], comm))
+        size = math.sqrt(_inner(rest, multiply(mass, rest[:, None])[:, 0], comm))
         for _ in range(2):  # the second pass removes what rounding left
-            rest -= basis @ comm.allreduce(basis.T @ _multiply(mass, rest[:, None])[:, 0])
-        norm = math.sqrt(max(0.0, _inner(rest, _multiply(mass, rest[:, None])[:, 0], comm)))
+            rest -= basis @ comm.allreduce(basis.T @ multiply(mass, rest[:, None])[:, 0])
+        norm = math.sqrt(max(0.0, _inner(rest, multiply(mass, rest[:, None])[:, 0], comm)))
         if norm > _NEGLIGIBLE * size:
             basis = np.column_stack([basis, rest / norm])
     return basis[:, shapes.shape[1] :]
@@ -272,7 +253,7 @@ def _fix_signs(basis: np.ndarray, contacts: int, mass: PETSc.Mat) -> None:
     comm = mass.comm.tompi4py()
     # weights that no symmetry of a geometry makes cancel
     pattern = basis[:, :contacts] @ np.cos(np.arange(1, contacts + 1))
-    coupling = comm.allreduce(basis[:, contacts:].T @ _multiply(mass, pattern[:, None])[:, 0])
+    coupling = comm.allreduce(basis[:, contacts:].T @ multiply(mass, pattern[:, None])[:, 0])
     basis[:, contacts:] *= np.where(coupling < 0, -1.0, 1.0)
 
 
@@ -280,17 +261,11 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
     comm = structure.mass.comm.tompi4py()
     count, contacts = basis.shape[1], len(contact)
 
-    def project(matrix: PETSc.Mat) -> np.ndarray:
-        lower = np.zeros((count, count))
-        for block in _blocks(count):
-            lower[block.start :, block] = basis[:, block.start :].T @ _multiply(matrix, basis[:, block])
-        lower = np.tril(_sum(lower, comm))
-        return lower + np.tril(lower, -1).T
-
     def rows(operator) -> np.ndarray:
         return np.hstack([operator[:, contact].toarray(), np.zeros((operator.shape[0], count - contacts))])
 
-    mass, stiffness, damping = (project(m) for m in (structure.mass, structure.stiffness, structure.damping))
+    mass, stiffness = _project_mass(structure, basis), _project_stiffness(structure, basis, contact)
+    damping = structure.rayleigh.alpha * mass + structure.rayleigh.beta * stiffness
     normal, tangential = rows(interface.normal_gap), rows(interface.tangential_slip)
     load: dict[int, np.ndarray] = {}
     for entry in structure.loads:
@@ -302,6 +277,29 @@ def _project(structure: Structure, interface: Interface, basis: np.ndarray, cont
         held = np.vstack([normal, tangential])
         damping = _damp_modes(mass, stiffness, held, rigid.shape[1], structure.modal_damping)
     return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
+
+
+def _project_mass(structure: Structure, basis: np.ndarray) -> np.ndarray:
+    count = basis.shape[1]
+    lower = np.zeros((count, count))
+    for block in blocks(count):
+        lower[block.start :, block] = basis[:, block.start :].T @ multiply(structure.mass, basis[:, block])
+    lower = np.tril(_sum(lower, structure.mass.comm.tompi4py()))
+    return lower + np.tril(lower, -1).T
+
+
+def _project_stiffness(structure: Structure, basis: np.ndarray, contact: np.ndarray) -> np.ndarray:
+    """The forces of constraint modes act where the other modes rest, at the contact degrees of freedom."""
+    first, last = structure.stiffness.getOwnershipRange()
+    count, contacts = basis.shape[1], len(contact)
+    mine = np.flatnonzero((contact >= first) & (contact < last))
+    reduced = np.zeros((count, count))
+    for block in blocks(contacts):
+        reduced[mine, block] = multiply(structure.stiffness, basis[:, block])[contact[mine] - first]
+    others = basis[:, contacts:]
+    reduced[contacts:, contacts:] = others.T @ multiply(structure.stiffness, others)
+    reduced = _sum(reduced, structure.stiffness.comm.tompi4py())
+    return 0.5 * (reduced + reduced.T)
 
 
 def _solve_stuck(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -360,35 +358,6 @@ def _rigid_motions(
             "distorted, or so fine that rounding shows?"
         )
     return rigid
-
-
-def _multiply(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:
-    """Distributed sparse matrix times this rank's rows of dense columns."""
-    with _wrap(matrix, columns) as right:
-        product = matrix.matMult(right)
-        array = product.getDenseArray().copy(order="F")
-        product.destroy()
-    return array
-
-
-@contextmanager
-def _wrap(matrix: PETSc.Mat, columns: np.ndarray) -> Iterator[PETSc.Mat]:
-    """This rank's rows of dense columns as PETSc takes them, distributed like the columns of a square matrix."""
-    size = (matrix.getSizes()[1], (None, columns.shape[1]))
-    dense = PETSc.Mat().createDense(size, array=np.asfortranarray(columns), comm=matrix.comm)
-    dense.assemble()
-    yield dense
-    dense.destroy()
-
-
-def _columns(vectors: Iterable[np.ndarray], rows: int) -> np.ndarray:
-    """Vectors side by side, ``(rows, k)``; k may be zero."""
-    return np.array([*vectors]).reshape(-1, rows).T
-
-
-def _blocks(count: int) -> Iterator[slice]:
-    """Ranges of at most ``_BLOCK`` columns."""
-    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
 
 
 def _inner(x: np.ndarray, y: np.ndarray, comm: MPI.Comm) -> float:

@@ -24,9 +24,9 @@ ORDER = [
     "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining",
     "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
     "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
-    "effects", "mesh", "materials", "elasticity", "interface", "modes", "reduction", "chain", "gathering", "plots",
-    "cost_plots", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report", "cli",
-    "__main__",
+    "effects", "mesh", "materials", "elasticity", "interface", "modes", "columns", "reduction", "chain", "gathering",
+    "plots", "cost_plots", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report",
+    "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
