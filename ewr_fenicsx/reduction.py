@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -95,7 +96,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
             1e-4 of the full model's up to five times its first full-stick frequency.
 
     Raises:
-        InterfaceError: A pair with both nodes clamped.
+        InterfaceError: A pair with both nodes clamped; so many pairs that the machine has not the memory.
         ModesError: Modes that did not converge; a part of the mesh that nothing holds; a rigid motion of a body that is
             not free of elastic forces.
     """
@@ -104,6 +105,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     first = structure.mass.getOwnershipRange()[0]
     fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
     contact = _contact_dofs(interface, fixed)
+    _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), len(contact) + modes, len(interface.area))
     interior = _cut_interior(structure, contact)
     found = solve_modes(interior.stiffness, interior.mass, modes)
     _compat.free_matrices(structure.mass.comm)  # before the wide basis takes its memory
@@ -167,6 +169,17 @@ class _Interior:
     boundary: np.ndarray
     stiffness: PETSc.Mat
     mass: PETSc.Mat
+
+
+def _check_memory(rows: int, columns: int, pairs: int) -> None:
+    """That basis ``(rows, columns)`` and reduced matrices could fit into this machine at all, before hours of work."""
+    needed = 8 * columns * (rows + 3 * columns)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if needed > memory:
+        raise InterfaceError(
+            f"{pairs} pairs on {rows} degrees of freedom a rank: the reduction alone needs {needed / 1e9:.3g} GB, and "
+            f"this machine has {memory / 1e9:.3g} GB; take fewer pairs or modes, or a larger mesh_size"
+        )
 
 
 def _cut_interior(structure: Structure, contact: np.ndarray) -> _Interior:

@@ -370,3 +370,10 @@ def test_the_basis_is_in_memory_but_once_and_reducing_again_takes_no_more():
         reduction = reduce_structure(structure, interface)
         seen.append(measure_memory())
     assert seen[-1] - seen[1] < reduction.basis.nbytes
+
+
+def test_a_reduction_that_no_memory_holds_is_refused_at_once(monkeypatch):
+    structure, interface = assemble(FIR_TREE)
+    monkeypatch.setattr("ewr_fenicsx.reduction.os.sysconf", lambda name: 1000)
+    with pytest.raises(InterfaceError, match=r"40 pairs on .* needs 0\.00[0-9]+ GB, and this machine has 0\.001 GB"):
+        reduce_structure(structure, interface)
