@@ -312,6 +312,9 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         return action()
     except EwrError as error:
         message, code = f"ewr: {error}", error.exit_code
+    except MemoryError as error:
+        message = f"ewr: out of memory: {error}; take a larger mesh_size, or fewer pairs, modes or harmonics"
+        code = EwrError.exit_code
     except KeyboardInterrupt as stop:
         message, code = "; ".join(["ewr: interrupted", *map(str, stop.args)]), 130
     except Exception:

@@ -8,17 +8,22 @@ from contextlib import contextmanager
 import numpy as np
 from petsc4py import PETSc
 
-from ewr_fenicsx.modes import use_mumps
+from ewr_fenicsx.modes import finding_memory, use_mumps
 
 _BLOCK = 32  # columns at once; more take more memory, and little less time
 
 
 def factorise(matrix: PETSc.Mat) -> Callable[[np.ndarray], np.ndarray]:
-    """Factorises a matrix; returns ``X = matrix^-1 F`` as a function of ``F (rows, k)``, this rank's rows."""
+    """Factorises a matrix; returns ``X = matrix^-1 F`` as a function of ``F (rows, k)``, this rank's rows.
+
+    Raises:
+        MemoryError: The factors do not fit into memory.
+    """
     solver = PETSc.KSP().create(matrix.comm)
     solver.setOperators(matrix)
     use_mumps(solver)
-    solver.setUp()
+    with finding_memory(matrix.getSize()[0]):
+        solver.setUp()
     factors = solver.getPC().getFactorMatrix()
 
     def solve(forces: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +53,7 @@ def solve_modes(
 
     Raises:
         ModesError: Fewer modes than asked for, a residual above the tolerance, or a singular stiffness with no shift.
+        MemoryError: The factors do not fit into memory.
     """
     size = stiffness.getSize()[0]
     if not 0 < count <= size - len(known):
@@ -73,7 +75,8 @@ def solve_modes(
     transform.setType(SLEPc.ST.Type.SINVERT)
     use_mumps(transform.getKSP())
     try:
-        solver.solve()
+        with finding_memory(size):
+            solver.solve()
     except PETSc.Error as error:
         raise ModesError(
             f"cannot factorise K - sigma M at sigma = {shift:g} rad^2/s^2: is the stiffness singular (a body "
@@ -185,6 +188,21 @@ def use_mumps(solver: PETSc.KSP) -> None:
     solver.setType(PETSc.KSP.Type.PREONLY)
     solver.getPC().setType(PETSc.PC.Type.LU)
     solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+
+
+@contextmanager
+def finding_memory(size: int) -> Iterator[None]:
+    """Around a factorisation of ``size`` rows: tells a lack of memory from a singular matrix.
+
+    Raises:
+        MemoryError: MUMPS could not allocate what it needs.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        if "INFOG(1)=-13" in str(error):
+            raise MemoryError(f"the factors of a matrix of {size} rows do not fit") from error
+        raise
 
 
 def _normalise(

@@ -118,6 +118,14 @@ def test_floating_body_with_no_force_that_could_hold_it(ewr):
     assert "1 rigid motions of floating bodies, but the forces of contact tell only 0 of them apart; clamp" in message
 
 
+def test_too_little_memory(ewr, monkeypatch):
+    def reduce_structure(*_, **__):
+        raise MemoryError("Unable to allocate 812. GiB")
+
+    monkeypatch.setattr("ewr_fenicsx.chain.reduce_structure", reduce_structure)
+    assert "ewr: out of memory: Unable to allocate 812. GiB; take a larger mesh_size, or fewer pairs" in ewr()
+
+
 def test_unwritable_folder(ewr, tmp_path):
     message = ewr(arguments=("--out", "/proc/ewr/results"))  # even root cannot write there
     assert "result folder /proc/ewr/results cannot be made" in message

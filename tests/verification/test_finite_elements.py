@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from math import pi
 from pathlib import Path
 
@@ -128,6 +130,34 @@ def test_floating_structure_without_shift_is_refused():
     structure = assemble(TWO_BLOCKS, clamp=())
     with pytest.raises(ModesError, match="a body floats and the stiffness is singular"):
         solve_modes(structure.stiffness, structure.mass, 4)
+
+
+MEMBRANE_IN_LITTLE_MEMORY = """
+import resource
+import scipy.sparse as sparse
+from pathlib import Path
+from petsc4py import PETSc
+from ewr_fenicsx.modes import solve_modes
+
+def membrane(n):
+    string = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n))
+    both = (sparse.kronsum(string, string).tocsr(), sparse.identity(n * n, format="csr"))
+    return [PETSc.Mat().createAIJ(m.shape, csr=(m.indptr, m.indices, m.data)) for m in both]
+
+solve_modes(*membrane(20), 3)
+large = membrane(500)
+in_use = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (in_use + 100_000_000, -1))
+try:
+    solve_modes(*large, 3)
+except MemoryError as error:
+    print(error)
+"""
+
+
+def test_a_lack_of_memory_is_no_floating_body():
+    done = subprocess.run([sys.executable, "-c", MEMBRANE_IN_LITTLE_MEMORY], capture_output=True, text=True, check=True)
+    assert done.stdout == "the factors of a matrix of 250000 rows do not fit\n"
 
 
 def stretch_patch(plane: str, degree: int, quadrilaterals: bool) -> tuple[float, float, float]:
