@@ -343,20 +343,22 @@ def build_laws(
     rubs_to_hold: bool,
 ) -> list[Law]:
     """Law objects of one group of pairs."""
-    pick = lambda value: pick_pairs(value, pairs, problem.model.pairs)  # noqa: E731
     rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
-    weights, own = {}, {direction: flexibility[at] for direction, at in rows.items()}
-    for direction in own:
-        if direction == "normal":
-            stiffness = 1 / own[direction]
-            rho = DEFAULT_NORMAL_WEIGHT * stiffness if problem.rho_normal is None else pick(problem.rho_normal)
-        else:
-            unit = (problem.omega or 1.0) * own[direction]
-            rho = DEFAULT_TANGENTIAL_WEIGHT * unit if problem.rho_tangential is None else pick(problem.rho_tangential)
-        weights[direction] = rho
+    own = {direction: flexibility[at] for direction, at in rows.items()}
+    weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
     closing = {d: choose_closing(problem, pairs, layout, at, own[d]) for d, at in rows.items() if d != "normal"}
     group = PairGroup(pairs, problem.model.pairs, own, weights, closing, problem.clearance[pairs], rubs_to_hold)
     return [law for kind in laws.kinds for law in kind.build(group)]
+
+
+def choose_weight(problem: ContactProblem, direction: str, pairs: np.ndarray, flexibility: RealArray) -> RealArray:
+    """``(K,)`` weight of some pairs' rows in a direction: the user's, or by each row's ``flexibility`` [m/N]."""
+    given = problem.rho_normal if direction == "normal" else problem.rho_tangential
+    if given is not None:
+        return pick_pairs(given, pairs, problem.model.pairs)
+    if direction == "normal":
+        return DEFAULT_NORMAL_WEIGHT / flexibility
+    return DEFAULT_TANGENTIAL_WEIGHT * (problem.omega or 1.0) * flexibility
 
 
 def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:

@@ -14,8 +14,8 @@ from statistics import median
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
-from ewr_fenicsx.estimates import choose_samples
+from ewr_fenicsx.dashpots import read_friction_weight, read_weight, use_mobility
+from ewr_fenicsx.estimates import choose_samples, holds_springs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.indicators import measure_cone_violation, measure_sliding
 from ewr_fenicsx.newton import solve
@@ -134,13 +134,14 @@ def list_settings(
             settings.append(Setting("N, rho_T by mobility", n, matched))
             lean = replace(matched, samples=choose_samples(n, 8.0))
             settings.append(Setting("N, rho_T by mobility, 8 N samples", n, lean))
-            settings.append(Setting("N, springs", n, replace(posed, closure="spring")))
+            sprung = replace(posed, closure="spring")
+            if holds_springs(sprung):
+                settings.append(Setting("N, springs", n, sprung))
     odd = lambda n: tuple(h for h in range(n + 1) if h % 2 or h in problem.loads or h == 0)  # noqa: E731
     settings += [Setting("N, odd harmonics only", n, replace(usual, harmonics=odd(n))) for n in low if n > 2]
     counts = dict.fromkeys([2 * fixed + 1, 3 * fixed, 4 * fixed, 8 * fixed, 16 * fixed, 32 * fixed, 64 * fixed])
     settings += [Setting("samples", n, replace(usual, samples=n)) for n in counts]
-    friction = read_friction_weight(usual)
-    normal = {law.direction: law.rho for law in usual.system.laws if hasattr(law, "rho")}.get("normal")
+    normal, friction = read_weight(usual, "normal"), read_friction_weight(usual)
     for factor in (0.01, 0.1, 1.0, 10.0, 100.0):
         if normal is not None:
             settings.append(Setting("rho_N over default", factor, replace(usual, rho_normal=factor * normal)))

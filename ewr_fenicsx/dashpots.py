@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.closure import list_beyond, measure_beyond
-from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_problem import ContactProblem, choose_weight
 from ewr_fenicsx.given import RealArray
 
 
@@ -47,8 +47,17 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
 
 def read_friction_weight(problem: ContactProblem) -> RealArray | None:
     """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N]."""
-    weight, found = np.ones(problem.model.pairs), False
-    for law in problem.system.laws:
-        if law.direction == "tangential" and hasattr(law, "rho"):
-            weight[law.pairs], found = law.rho, True
+    return read_weight(problem, "tangential")
+
+
+def read_weight(problem: ContactProblem, direction: str) -> RealArray | None:
+    """``(K_c,)`` weights that laws with a ``rho`` were given in a direction, ones at other pairs; None without any.
+
+    A law may make a weight of its own of the one that it is given, so its ``rho`` is not what a problem would repeat.
+    """
+    system, weight, found = problem.system, np.ones(problem.model.pairs), False
+    for law in system.laws:
+        if law.direction == direction and hasattr(law, "rho"):
+            flexibility = system.flexibility[system.row_of(direction, law.pairs)]
+            weight[law.pairs], found = choose_weight(problem, direction, law.pairs, flexibility), True
     return weight if found else None

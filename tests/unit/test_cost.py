@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from small_models import lift_off_oscillator
+from small_models import friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 from ewr_fenicsx.cost import (
@@ -100,6 +100,25 @@ def test_each_setting_turns_one_knob():
         assert len(differs) <= allowed, (s.knob, differs)
     knobs = {s.knob for s in settings}
     assert {"N", "samples", "rho_N over default", "rho_T over default", "tolerance", "N, odd harmonics only"} <= knobs
+
+
+def test_factor_one_is_the_default_weight_on_every_flank():
+    model = random_structure(size=9, pairs=3)
+    laws = [([0, 2], ContactLaws()), ([1], ContactLaws("prescribed", normal_force=1.0))]
+    settings = list_settings(ContactProblem(model, laws, 0.1), (1, 3), fixed=3)
+    usual = next(s.problem for s in settings if s.knob == "tolerance")
+    for knob in ("rho_N over default", "rho_T over default"):
+        same = next(s.problem for s in settings if s.knob == knob and s.value == 1.0)
+        for ours, theirs in zip(same.system.laws, usual.system.laws, strict=True):
+            np.testing.assert_allclose(ours.rho, theirs.rho, rtol=1e-14)
+
+
+@pytest.mark.parametrize("mass, tried", [(1e-6, True), (1.0, False)])
+def test_springs_are_tried_where_they_act_only(mass, tried):
+    """A contact node nearly without mass gives way like a spring at high harmonics; one with mass does not."""
+    model = friction_oscillator(mass=mass, damping=0.0, stiffness=1.0)
+    problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0), 1.0)
+    assert tried == ("N, springs" in {s.knob for s in list_settings(problem, (3, 5), fixed=3)})
 
 
 def test_the_front_holds_what_nothing_beats():

@@ -26,6 +26,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, so
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_state import SLIP, STICK, classify_contact, list_histories
 from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.dashpots import read_weight
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
 from ewr_fenicsx.reduced_model import hold
@@ -151,6 +152,13 @@ def test_a_floating_body_may_hang_on_it_up_to_its_limit():
     assert solution.output("tip")[0].real == pytest.approx(0.5 * LIMIT / SPRING, rel=1e-6)
     with pytest.raises(UnheldBody, match="nothing holds a floating body: 50% of the mean load"):
         solve(ContactProblem(free(2 * LIMIT), jenkins(), 0.1, 3))
+
+
+def test_a_survey_of_its_weight_begins_at_the_one_that_it_has():
+    """The law makes a weight of its own of the one that it is given; given back, that would be another one."""
+    usual = ContactProblem(random_structure(size=7, pairs=3), jenkins(), 0.1, 3)
+    given_back = replace(usual, rho_tangential=read_weight(usual, "tangential"))
+    np.testing.assert_allclose(given_back.system.laws[0].rho, usual.system.laws[0].rho, rtol=1e-14)
 
 
 @register_law("normal", "duffing")
