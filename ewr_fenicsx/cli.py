@@ -193,9 +193,11 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
             table.add_column(header, justify="right")
         for row in report.rows:
             cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
-            table.add_row(escape(row["knob"]), *cells, *(f"{error:.1e}" for error in row["errors"].values()))
+            errors = [f"{error:.1e}" for error in row["errors"].values()] if row["converged"] else ["not found"]
+            table.add_row(escape(row["knob"]), *cells, *errors)
         console.print(
-            "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time"
+            "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time\n"
+            'N: highest harmonic; springs: closure = "spring"; by mobility: rho_T as an accuracy chooses it'
         )
         console.print(table)
         print(report.told, flush=True)  # before anything that drawing may stumble over

@@ -205,6 +205,34 @@ def test_the_costs_of_a_sweep_name_the_frequency_that_they_are_of(tmp_path, monk
     swept = scene.model_copy(update={"excitation": Excitation(frequency=(700.0, 800.0, 900.0))})
     report = cost_report.survey_scene(build_chain(swept))
     assert report.told.startswith("at 700 Hz, the first of the sweep's 3 frequencies\nreference: ")
+    assert "stages of a run without its sweep: mesh " in report.told
+
+
+def test_what_a_setting_is_said_to_reach_allows_for_the_error_of_the_reference(tmp_path, monkeypatch):
+    """0.4 % off a reference that may itself be 0.7 % off is no 1 %."""
+    row = {"knob": "N", "value": 3, "unknowns": 9, "steps": 5, "seconds": 0.1, "converged": True}
+    monkeypatch.setattr(cost_report, "survey", lambda *_, **__: [row | {"errors": {"output": 0.004}}])
+    told = []
+    for own in (0.005, 0.007):
+        monkeypatch.setattr(cost_report, "solve_reference", lambda *_, own=own: (None, own, "a reference", 31))
+        told.append(cost_report.survey_scene(build_chain(load_scene(write_scene(tmp_path)))).told)
+    assert "  10.0%: N = 3: 4.0e-03" in told[1]
+    assert "   1.0%: N = 3: 4.0e-03" in told[0] and "   1.0%: the reference is not good enough" in told[1]
+
+
+def test_settings_without_a_solution_are_told_from_the_others(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cost_report, "ORDERS", (1, 3))
+    monkeypatch.setattr(cost_report, "HIGHEST", 7)
+    survey = cost_report.survey
+
+    def fail_at_one(*given, **more):
+        return [row | {"converged": row["value"] != 1} for row in survey(*given, **more)]
+
+    monkeypatch.setattr(cost_report, "survey", fail_at_one)
+    assert main(["cost", str(write_scene(tmp_path)), "--out", str(tmp_path / "costs")]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if re.match(r"N +\d", line)]
+    assert "not found" in lines[0] and "e-" not in lines[0]
+    assert "not found" not in lines[1] and "e-" in lines[1]
 
 
 def test_nothing_to_choose_where_nothing_oscillates(tmp_path):
