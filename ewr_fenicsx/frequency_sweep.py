@@ -309,11 +309,18 @@ def _rebuild(problem_at: Callable[[float], ContactProblem], records: list[Record
 
 
 def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: Follower) -> Curve:
-    """One curve of all blocks: where two do not meet, the branch of the former is followed until they do."""
+    """One curve of all blocks: where two do not meet, the branch of the former is followed until they do.
+
+    So it is through a block in which no cold start found a solution.
+    """
     curve = Curve()
     for part, targets in zip(parts, pieces, strict=True):
-        if not curve.points or not part.points:
+        if not curve.points:
             curve.extend(part)
+            continue
+        if not part.points:
+            ahead = [target for target in targets if target > curve.points[-1].problem.frequency]
+            curve.extend(follower.follow(curve.points[-2:], ahead))
             continue
         for k, target in enumerate(targets):
             if k:

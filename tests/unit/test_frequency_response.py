@@ -54,6 +54,15 @@ def test_blocks_of_another_size_give_the_same_curve(monkeypatch):
     np.testing.assert_allclose(sweep().output("tip"), one, atol=1e-7 * np.abs(one).max())
 
 
+def test_a_block_without_a_cold_solution_is_followed_from_the_one_before(monkeypatch):
+    usual, cold = sweep(), frequency_sweep._solve_block
+    monkeypatch.setattr(frequency_sweep, "BLOCK", 2)
+    monkeypatch.setattr(frequency_sweep, "_solve_block", lambda f, b, s: ([], []) if b.number == 2 else cold(f, b, s))
+    curve = sweep()
+    assert curve.missing == () and curve.jumps == ()
+    np.testing.assert_allclose(curve.output("tip"), usual.output("tip"), atol=1e-7 * np.abs(usual.output("tip")).max())
+
+
 def test_blocks_meet_where_a_fold_lies_between_them(monkeypatch):
     """Cold starts find either branch where there are three; joined, the blocks are the curve of one sweep."""
     model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
