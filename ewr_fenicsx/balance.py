@@ -9,15 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, cached_property, partial
+from reprlib import repr as shorten
+from typing import get_args
 
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactSystem
 from ewr_fenicsx.elimination import REDUNDANCY
+from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_derivatives import Derivative
-from ewr_fenicsx.law_kinds import Motion, Response, Signal, Variable
+from ewr_fenicsx.law_kinds import Law, Motion, Partial, Response, Signal, Variable
+from ewr_fenicsx.layout import DIRECTIONS
 from ewr_fenicsx.newton_step import NewtonStep
 
 # Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
@@ -45,7 +49,7 @@ class HarmonicBalance:
         self.rate = 1j * system.compliance.omega * np.array(system.basis.orders)
         self.rows = system.rows.shape[0]
         self.rigid = system.compliance.rigid_motion.shape[1]
-        self.law_rows = [system.index[law.direction][law.pairs] for law in system.laws]
+        self.law_rows = match_rows(system)
         self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
         for law, rows in zip(system.laws, self.law_rows, strict=True):
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
@@ -209,7 +213,10 @@ class HarmonicBalance:
         forces, rigid = self.unpack(unknowns)
         caused = self.compliance.motion(forces, rigid)
         seen = self.sample(forces, caused if motion is None else motion)
-        answer = forces, rigid, caused, [law.evaluate(at) for law, at in zip(self.system.laws, seen, strict=True)]
+        responses = [law.evaluate(at) for law, at in zip(self.system.laws, seen, strict=True)]
+        for law, response in zip(self.system.laws, responses, strict=True):
+            check_response(law, response, (self.basis.samples, law.pairs.size))
+        answer = forces, rigid, caused, responses
         if motion is None:
             self._last = unknowns.copy(), answer
         return answer
@@ -227,3 +234,59 @@ class HarmonicBalance:
                 coefficients[0] += self.static_displacement_row * motion
             balance = self.compliance.rigid_motion.T @ mean + self.compliance.rigid_load
         return np.concatenate([coefficients[self.unknown], balance]) / self.force_unit
+
+
+def match_rows(system: ContactSystem) -> list[np.ndarray]:
+    """``(K,)`` rows of each law's pairs.
+
+    Raises:
+        ModelError: A law owns a direction in which its kind does not act; or a row has no law, or two.
+    """
+    for law in system.laws:
+        if law.direction not in system.index or np.any(system.index[law.direction][law.pairs] < 0):
+            known = ", ".join(f'"{direction}"' for direction in system.index)
+            raise ModelError(
+                f'{type(law).__name__}.direction = "{law.direction}", where its pairs have no unknown force; they have '
+                f"one in {known}: make it one of these, or name it in the kind's acts_in"
+            )
+    rows = [system.index[law.direction][law.pairs] for law in system.laws]
+    owners = np.bincount(np.concatenate([np.zeros(0, dtype=int), *rows]), minlength=system.rows.shape[0])
+    for direction, index in system.index.items():
+        wrong = [pair for pair, row in enumerate(index) if row >= 0 and owners[row] != 1]
+        if wrong:
+            raise ModelError(
+                f"{owners[index[wrong[0]]]} laws own the {direction.replace('_', ' ')} force of pair {wrong[0]}; the "
+                "kind that acts there must build one law for each direction that acts_in names"
+            )
+    return rows
+
+
+def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:
+    """Refuses an answer that is none: what the rest would stumble over, or worse, would not notice.
+
+    Raises:
+        ModelError: Not a ``Response``, or values, a variable or a direction that it cannot have.
+    """
+    name = f"{type(law).__name__}.evaluate"
+    if not isinstance(response, Response) or not all(isinstance(part, Partial) for part in response.partials):
+        raise ModelError(f"{name} returns {shorten(response)}; give a Response(residual, (Partial(...), ...))")
+    for part in response.partials:
+        for what, given, known in (
+            ("variable", part.variable, get_args(Variable)),
+            ("direction", part.direction, DIRECTIONS),
+        ):
+            if given not in known:
+                hint = nearest(given, known)
+                raise ModelError(
+                    f'{name} returns a Partial by the {what} "{given}"; give one of {", ".join(known)}{hint}'
+                )
+    named = [("residual", response.residual)]
+    for part in response.partials:
+        told = f"derivative by the {part.direction.replace('_', ' ')} {part.variable.replace('_', ' ')}"
+        named += [(told, part.values)] + ([] if part.since is None else [(f"since of the {told}", part.since)])
+    for told, values in named:
+        if np.shape(values) != shape or np.iscomplexobj(values):
+            raise ModelError(
+                f"{name} returns a {told} of shape {np.shape(values)}, {np.asarray(values).dtype}; give real numbers "
+                f"of shape {shape}, instants by pairs"
+            )

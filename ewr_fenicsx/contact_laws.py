@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
 from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register their kinds
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
-from ewr_fenicsx.law_kinds import LawKind, find_kind, list_parameters
+from ewr_fenicsx.law_kinds import Law, LawKind, PairGroup, Side, find_kind, list_parameters
 from ewr_fenicsx.prescribed import Prescribed
 
 
@@ -90,6 +91,20 @@ class ContactLaws:
                 f'normal = "{self.normal}", tangential = "{self.tangential}": {error}; give it in parameters={{...}}'
             ) from None
         return normal, tangential
+
+    def build(self, group: PairGroup) -> list[Law]:
+        """The laws of both kinds at some pairs.
+
+        Raises:
+            ModelError: A kind cannot use its parameters; names the kind.
+        """
+        laws: list[Law] = []
+        for side, kind in zip(get_args(Side), self.kinds, strict=True):
+            try:
+                laws += kind.build(group)
+            except ModelError as error:
+                raise ModelError(f'{side} = "{getattr(self, side)}": {error}') from None
+        return laws
 
 
 JointLaws = ContactLaws | Sequence[tuple[Sequence[int], ContactLaws]]  # for all pairs, or for groups of them

@@ -348,7 +348,7 @@ def build_laws(
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
     closing = {d: choose_closing(problem, pairs, layout, at, own[d]) for d, at in rows.items() if d != "normal"}
     group = PairGroup(pairs, problem.model.pairs, own, weights, closing, problem.clearance[pairs], rubs_to_hold)
-    return [law for kind in laws.kinds for law in kind.build(group)]
+    return laws.build(group)
 
 
 def choose_weight(problem: ContactProblem, direction: str, pairs: np.ndarray, flexibility: RealArray) -> RealArray:

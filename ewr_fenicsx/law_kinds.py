@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar
+from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class Partial(NamedTuple):
     variable: Variable
     direction: str
     values: RealArray  # (n_t, K)
-    since: np.ndarray | None = None  # (n_t, K) sample of which value times variable counts, -1: none; None: its own
+    since: np.ndarray | None = None  # (n_t, K) j: values[j] times the variable at j counts here, -1: none; None: own
 
 
 class Response(NamedTuple):
@@ -211,8 +211,10 @@ def register_law(side: Side, name: str) -> Callable[[Kind], Kind]:
     """Makes a kind known by name, ``ContactLaws(normal=name)`` or ``(tangential=name)``; decorates the class.
 
     Raises:
-        ModelError: Another kind has that name.
+        ModelError: No such side, or another kind has that name.
     """
+    if side not in (sides := get_args(Side)):
+        raise ModelError(f'register_law("{side}", "{name}"): choose one of {", ".join(sides)}{nearest(side, sides)}')
 
     def enter(kind: Kind) -> Kind:
         known = _KINDS.setdefault((side, name), kind)
@@ -230,8 +232,11 @@ def load_laws(source: Path) -> None:
     """Runs a Python file that registers kinds of its own; run again, its kinds take the place of the former ones.
 
     Raises:
+        ModelError: No Python file.
         Exception: What the file raises when it is run.
     """
+    if source.suffix != ".py":
+        raise ModelError("give a Python file, NAME.py")
     name = f"_laws_{source.stem}"
     specification = spec_from_file_location(name, source)
     module = sys.modules[name] = module_from_spec(specification)  # dataclasses look up the module that defines them
@@ -242,9 +247,19 @@ def list_parameters(side: Side, name: str) -> tuple[str, ...]:
     """Names of the parameters that a kind takes.
 
     Raises:
-        ModelError: Nothing of that name is registered.
+        ModelError: Nothing of that name is registered, or no dataclass.
     """
-    return tuple(f.name for f in fields(find_kind(side, name)))
+    kind = find_kind(side, name)
+    if not is_dataclass(kind):
+        raise ModelError(
+            f'{side} = "{name}": {kind.__qualname__} is no dataclass; write @dataclass(frozen=True) above it'
+        )
+    return tuple(f.name for f in fields(kind))
+
+
+def is_own(kind: LawKind) -> bool:
+    """Whether a kind is not the package's but a user's."""
+    return not type(kind).__module__.startswith("ewr_fenicsx.")
 
 
 def known_laws(side: Side) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from ewr_fenicsx.ladder import (
     trace_load,
     walk_weights,
 )
+from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
@@ -172,9 +173,16 @@ def list_remedies(problem: ContactProblem, residual: float) -> str:
             f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
             "this; or allow a larger tolerance"
         )
+    kinds = [kind for _, laws in problem.groups for kind in laws.kinds]
+    own = ", ".join(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind)))
+    if own and not np.isfinite(residual):
+        return f". Laws return infinities or NaN: look at {own}"
+    last = "integrate(problem) shows whether the motion becomes periodic at all"
+    if own:
+        last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
     return (
         ". Try fewer harmonics, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
-        "more damping; integrate(problem) shows whether the motion becomes periodic at all"
+        f"more damping; {last}"
     )
 
 
@@ -239,7 +247,7 @@ def start_from_time_stepping(
             acceleration=True,
         )
     except (ModelError, ImportError) as refusal:
-        return replace(best, iterations=0, reason=str(refusal))
+        return replace(best, iterations=0, reason=str(refusal).removesuffix("; use solve"))
     forces, motion = steady.contact_amplitudes
     if not np.all(np.isfinite(forces)):
         return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")

@@ -43,7 +43,7 @@ RECIPE = Path(__file__).parents[2] / "docs" / "adding_a_law.md"
 def recipe(tmp_path_factory):
     """The recipe's code as a file of a user's, imported."""
     path = tmp_path_factory.mktemp("own") / "jenkins.py"
-    path.write_text(re.search(r"```python\n(.*?)```", RECIPE.read_text(encoding="utf-8"), re.DOTALL).group(1))
+    path.write_text("\n".join(re.findall(r"```python\n(.*?)```", RECIPE.read_text(encoding="utf-8"), re.DOTALL)))
     spec = spec_from_file_location("jenkins", path)
     module = sys.modules["jenkins"] = module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -115,7 +115,7 @@ def test_its_fields_and_states_come_out_like_those_of_the_package(recipe):
     assert 0.1 < slips.mean() < 0.9
 
 
-def test_each_of_its_derivatives_is_exact():
+def test_each_of_its_derivatives_is_exact(recipe):
     """Full Jacobian against finite differences, and elimination against the full one, stuck and sliding pairs mixed."""
     model = random_structure(size=7, pairs=3)
     problem = ContactProblem(model, jenkins(limit=[0.3, 1.0, 100.0]), 0.1, 3, load={1: 3 * np.ones(7)})
@@ -123,11 +123,20 @@ def test_each_of_its_derivatives_is_exact():
     point = np.random.default_rng(1).normal(size=balance.size)
     step = balance.linearise(point)
     assert list(step.steady) == [False, False, True]
-    change, h = np.random.default_rng(2).normal(size=balance.size), 1e-7
-    finite = (balance.residual(point + h * change) - balance.residual(point - h * change)) / (2 * h)
-    np.testing.assert_allclose(step.multiply(change), finite, atol=1e-6 * np.abs(finite).max())
-    np.testing.assert_allclose(step.matrix() @ change, step.multiply(change), atol=1e-12 * np.abs(finite).max())
+    change = np.random.default_rng(2).normal(size=balance.size)
+    assert all(recipe.compare_derivatives(problem, seed) < 1e-6 for seed in range(3))
+    size = np.abs(step.multiply(change)).max()
+    np.testing.assert_allclose(step.matrix() @ change, step.multiply(change), atol=1e-12 * size)
     np.testing.assert_allclose(step.solve(step.multiply(change)), change, atol=1e-10 * np.abs(change).max())
+
+
+def test_a_wrong_derivative_is_found_out(recipe, monkeypatch):
+    exact = recipe.SpringSlider.respond
+    monkeypatch.setattr(
+        recipe.SpringSlider, "respond", lambda *given: exact(*given)._replace(partials=exact(*given)[1][:2])
+    )
+    problem = ContactProblem(random_structure(size=7, pairs=3), jenkins(limit=100.0), 0.1, 3, load={1: 3 * np.ones(7)})
+    assert recipe.compare_derivatives(problem) > 1e-3
 
 
 def test_its_corners_round_to_the_exact_law():

@@ -1,0 +1,104 @@
+"""Mistakes in laws of one's own: each is named, and none passes for a solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from small_models import friction_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, law_kinds, solve
+from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.law_kinds import Law, LawKind, Partial, Response, register_law
+
+
+def damper(**other) -> type:
+    """The class of a law ``lam + v = 0``, or of one with other attributes."""
+    evaluate = lambda _, motion: Response(  # noqa: E731
+        motion.force["tangential"] + motion.velocity["tangential"],
+        tuple(Partial(name, "tangential", np.ones_like(motion.force["tangential"])) for name in ("force", "velocity")),
+    )
+    return type("Damper", (Law,), {"pairs": np.arange(1), "direction": "tangential", "evaluate": evaluate} | other)
+
+
+def answer(alter):
+    return {"evaluate": lambda self, motion: alter(damper().evaluate(self, motion))}
+
+
+def make_kind(*laws: type, **fields) -> type:
+    """A kind that acts in the tangent and builds some laws."""
+    build = lambda self, group: [law() for law in laws]  # noqa: E731
+    return type("Kind", (LawKind,), {"acts_in": lambda self, tangents: ("tangential",), "build": build} | fields)
+
+
+def pose(kind: type, monkeypatch, **parameters) -> ContactProblem:
+    monkeypatch.setitem(law_kinds._KINDS, ("tangential", "mine"), kind)
+    laws = ContactLaws("prescribed", "mine", normal_force=1.0, parameters=parameters)
+    return ContactProblem(friction_oscillator(), laws, 0.1, 3)
+
+
+@pytest.mark.parametrize(
+    "laws, message",
+    [
+        ([damper(**answer(lambda r: r.residual))], r"Damper\.evaluate returns array.*; give a Response\("),
+        (
+            [damper(**answer(lambda r: r._replace(residual=r.residual.T)))],
+            r"a residual of shape \(1, 128\), float64; give",
+        ),
+        (
+            [damper(**answer(lambda r: r._replace(partials=(Partial("force", "tangential", 1.0),))))],
+            r"a derivative by the tangential force of shape \(\), .* real numbers of shape \(128, 1\), instants by",
+        ),
+        (
+            [damper(**answer(lambda r: r._replace(partials=(r.partials[1]._replace(variable="velocty"),))))],
+            r'a Partial by the variable "velocty"; .* did you mean "velocity"\?',
+        ),
+        (
+            [damper(**answer(lambda r: r._replace(partials=(r.partials[1]._replace(direction="tangent"),))))],
+            r'a Partial by the direction "tangent"; .* did you mean "tangential"\?',
+        ),
+        ([damper(direction="normal")], r'Damper\.direction = "normal", where .* one in "tangential"'),
+        ([], r"0 laws own the tangential force of pair 0; the kind that acts there must build one law"),
+        ([damper(), damper()], r"2 laws own the tangential force of pair 0"),
+    ],
+)
+def test_laws_that_make_no_sense_are_refused(laws, message, monkeypatch):
+    """Before, a misspelt variable was taken for a displacement, and a row without a law for solved."""
+    with pytest.raises(ModelError, match=message):
+        solve(pose(dataclass(make_kind(*laws)), monkeypatch))
+
+
+def test_parameters_that_do_not_fit_name_their_law(monkeypatch):
+    fields = {"__annotations__": {"limit": list}, "build": lambda self, group: group.spread(self.limit)}
+    problem = pose(dataclass(make_kind(**fields)), monkeypatch, limit=[1.0, 2.0, 3.0])
+    with pytest.raises(ModelError, match='tangential = "mine": 3 values for 1 pairs; give one, or one a pair'):
+        solve(problem)
+
+
+@pytest.mark.parametrize(
+    "residual, advice",
+    [
+        (lambda force: np.nan * force, "infinities or NaN: look at Kind"),
+        (lambda force: force**2 + 1, "derivatives of Kind"),
+    ],
+)
+def test_advice_where_laws_of_one_s_own_find_no_solution(residual, advice, monkeypatch):
+    """Not to step it in time, which knows none of them."""
+    law = damper(**answer(lambda r: r._replace(residual=residual(r.residual))))
+    with pytest.raises(NotConverged, match=advice) as failure:
+        solve(pose(dataclass(make_kind(law)), monkeypatch))
+    assert "integrate(problem)" not in str(failure.value) and "use solve" not in str(failure.value)
+
+
+def test_a_side_that_is_none_and_a_class_that_is_no_dataclass_are_refused(monkeypatch):
+    with pytest.raises(ModelError, match=r'register_law\("tangental", "x"\): .*; did you mean "tangential"\?'):
+        register_law("tangental", "x")
+    monkeypatch.setitem(law_kinds._KINDS, ("tangential", "bare"), type("Bare", (LawKind,), {}))
+    with pytest.raises(ModelError, match=r'tangential = "bare": Bare is no dataclass; write @dataclass'):
+        ContactLaws(tangential="bare")
+
+
+def test_what_is_no_python_file_is_refused(tmp_path):
+    with pytest.raises(ModelError, match=r"give a Python file, NAME\.py"):
+        law_kinds.load_laws(tmp_path / "my_laws")
