@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 import h5py
 import numpy as np
 
+from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -126,7 +130,7 @@ def read_records(group: h5py.Group) -> list[Record]:
 
 
 def fingerprint(*stated: object) -> str:
-    """A digest of everything stated: numbers, texts, arrays, dataclasses, and collections of these."""
+    """A digest of everything stated: numbers, texts, arrays, dataclasses, collections of these, code of own laws."""
     digest = hashlib.sha256()
     _feed(digest.update, stated)
     return digest.hexdigest()
@@ -141,6 +145,9 @@ def _feed(update: Callable[[bytes], None], item: object) -> None:
         for entry in fields(item):
             update(entry.name.encode())
             _feed(update, getattr(item, entry.name))
+        for kind in item.kinds if isinstance(item, ContactLaws) else ():
+            if is_own(kind):
+                update(read_code(type(kind)).encode())
     elif isinstance(item, Mapping):
         for key, value in item.items():
             _feed(update, key)
@@ -150,3 +157,20 @@ def _feed(update: Callable[[bytes], None], item: object) -> None:
             _feed(update, value)
     else:
         update(repr(item).encode())
+
+
+def read_code(kind: type) -> str:
+    """Source of the file that a user's kind is from; "" where it was typed at a prompt.
+
+    Of a script it is that of the classes only: what the script does with them may change.
+    """
+    module = sys.modules.get(kind.__module__)
+    try:
+        if kind.__module__ != "__main__":
+            return inspect.getsource(module)
+        own = [
+            member for member in vars(module).values() if inspect.isclass(member) and member.__module__ == "__main__"
+        ]
+        return "".join(map(inspect.getsource, own))
+    except (OSError, TypeError):
+        return ""

@@ -9,6 +9,7 @@ import pytest
 from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.law_kinds import load_laws
 from ewr_fenicsx.solution_store import fingerprint, restore, strip
 
 LAWS = ContactLaws(friction=0.3)
@@ -32,3 +33,22 @@ def test_fingerprints_tell_problems_apart():
     others = [replace(problem, frequency=600.1), replace(problem, wear=np.zeros(6)), replace(problem, harmonics=6)]
     others.append(replace(problem, laws=replace(LAWS, friction=np.full(6, 0.3))))
     assert len({fingerprint(p) for p in [problem, *others]}) == 5
+
+
+def test_work_under_an_own_law_is_not_gone_on_with_under_another(tmp_path):
+    """The same name and parameters, but the file has been mended since."""
+    written = """
+from dataclasses import dataclass
+from ewr_fenicsx.law_kinds import LawKind, register_law
+
+@register_law("tangential", "mended")
+@dataclass(frozen=True, eq=False)
+class Mended(LawKind):
+    factor: float = {factor}
+"""
+    stated = []
+    for factor in (1.0, 1.0, 2.0):
+        (tmp_path / "laws.py").write_text(written.format(factor=factor))
+        load_laws(tmp_path / "laws.py")
+        stated.append(fingerprint(ContactLaws(tangential="mended", parameters={"factor": 3.0})))
+    assert stated[0] == stated[1] != stated[2]
