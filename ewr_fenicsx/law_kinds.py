@@ -165,6 +165,7 @@ class LawKind(Protocol):
         needs: Directions whose force its laws must know.
         slides: Whether pairs slip where no law says so; else they stick.
         opens: Whether the pairs may part: there is a gap, to which wear adds.
+        only_pushes: Whether its normal forces never pull and take no energy: where they do, truncation is coarse.
         odd: Whether the laws' residual changes sign with the forces and motions that they see; forces given from
             outside apart.
         blind_to_mean: Whether a mean displacement changes nothing in the laws.
@@ -177,6 +178,7 @@ class LawKind(Protocol):
     needs: ClassVar[tuple[str, ...]] = ()
     slides: ClassVar[bool] = False
     opens: ClassVar[bool] = False
+    only_pushes: ClassVar[bool] = False
     odd: ClassVar[bool] = False
     blind_to_mean: ClassVar[bool] = False
     initial_gap = 0.0

@@ -316,9 +316,11 @@ class PeriodicSolution:
         merit, coarse = self.merit, []
         exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
         swinging = np.pi * float(np.array(self.orders) @ np.sum(np.abs(self.excitation * self.coordinates), axis=1))
-        if abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
+        normal = [laws.kinds[0] for _, laws in self.problem.groups]
+        tells = all(kind.only_pushes for kind in normal if kind.acts_in(self.problem.model.tangents))  # of truncation
+        if tells and abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
             coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
-        if self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
+        if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:

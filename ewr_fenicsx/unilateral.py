@@ -25,7 +25,7 @@ class Unilateral(LawKind):
 
     initial_gap: float | RealArray = 0.0
     histories = ("normal_force", "gap")
-    opens = True
+    opens = only_pushes = True
     effect = "separation"
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:

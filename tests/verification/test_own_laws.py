@@ -264,6 +264,7 @@ def test_linear_laws_are_one_solve_and_no_snes():
     built_in = replace(model, stiffness=model.stiffness + 0.7 * rows, damping=model.damping + 0.3 * rows)
     expected = solve(ContactProblem(built_in, ContactLaws("prescribed", "frictionless", normal_force=0.0), 0.1, 4))
     np.testing.assert_allclose(solution.output("tip"), expected.output("tip"), rtol=1e-10, atol=1e-12)
+    assert solution.merit["energy_error"] > 0.1 and solution.cautions == (), "its damper takes that, no truncation"
 
 
 def test_a_problem_without_an_unknown_left_creates_no_snes():
