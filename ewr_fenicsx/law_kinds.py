@@ -239,7 +239,7 @@ def load_laws(source: Path) -> None:
     """
     if source.suffix != ".py":
         raise ModelError("give a Python file, NAME.py")
-    name = f"_laws_{source.stem}"
+    name = f"_laws_{source.resolve()}"  # files of other folders may have the same name
     specification = spec_from_file_location(name, source)
     module = sys.modules[name] = module_from_spec(specification)  # dataclasses look up the module that defines them
     specification.loader.exec_module(module)

@@ -229,7 +229,9 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
         raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
     rates[~problem.opens] = 0.0
     if not np.any(rates > 0):
-        raise ModelError('no pair can wear: it takes normal = "unilateral" and a positive wear coefficient')
+        raise ModelError(
+            'no pair can wear: it takes pairs that may part (normal = "unilateral") and a positive wear coefficient'
+        )
     if model.tangents == 0:
         raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
     return rates

@@ -52,3 +52,7 @@ class Mended(LawKind):
         load_laws(tmp_path / "laws.py")
         stated.append(fingerprint(ContactLaws(tangential="mended", parameters={"factor": 3.0})))
     assert stated[0] == stated[1] != stated[2]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "laws.py").write_text("# of the same name, in another folder")
+    load_laws(tmp_path / "other" / "laws.py")
+    assert fingerprint(ContactLaws(tangential="mended", parameters={"factor": 3.0})) == stated[2]
