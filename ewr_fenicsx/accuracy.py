@@ -117,8 +117,8 @@ def solve_to_accuracy(
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
     From the second set of harmonics on springs close the truncation of Coulomb's law, as long as they find a solution.
-    Only the first solve, and the first with more modes, take fallbacks: where more harmonics lead nowhere without, what
-    was found before stays.
+    Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
+    without, what was found before stays.
 
     Args:
         problem: The problem; its own harmonics and samples are not used; a weight ``rho_tangential`` or springs that
@@ -165,9 +165,11 @@ def solve_to_accuracy(
     while not limit:
         posed = pose_level(problem, top, density, dropped, springs)
         chosen = posed.has_springs and not problem.has_springs
-        near = bool(levels) and len(modes) == levels[-1].modes  # the ladder is long, and hardly ever helps there
         try:
-            found = solve(posed, solution, tolerance, fallbacks=not (chosen or near))
+            if levels and len(modes) == levels[-1].modes:
+                found = go_on(posed, solution, tolerance, cold=not chosen)
+            else:
+                found = solve(posed, solution, tolerance, fallbacks=not chosen)
         except NotConverged as error:
             if chosen:
                 springs = False  # dashpots are sturdier
@@ -252,6 +254,25 @@ def pose_level(
     posed = use_mobility(posed)
     sprung = replace(posed, closure="spring")
     return sprung if springs and top > FIRST_ORDER and holds_springs(sprung) else posed
+
+
+def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:
+    """A solve from the solution with fewer harmonics; where that fails, from ``cold``, as next to a fold.
+
+    The ladder beyond is long, and hardly ever leads further there.
+
+    Raises:
+        NotConverged: No solution was found.
+    """
+    try:
+        return solve(posed, before, tolerance, fallbacks=False)
+    except NotConverged as error:
+        if not cold:
+            raise
+        lost = error.best
+    found = solve(posed, None, tolerance, fallbacks=False)
+    tried = (f"given start: {lost.reason}", f"growing harmonics: {found.reason}")
+    return replace(found, fallbacks=tried, iterations=lost.iterations + found.iterations)
 
 
 def judge(

@@ -169,6 +169,26 @@ class Follower:
                 here, before = found, here
         return curve
 
+    def descend(self, start: PeriodicSolution, targets: Sequence[float]) -> list[PeriodicSolution]:
+        """The branch from a point to each of the falling ``targets`` in turn, as far as it leads without a fold."""
+        points: list[PeriodicSolution] = []
+        here, reach = start, np.inf
+        for target in targets:
+            while here.problem.frequency != target:
+                f = max(target, here.problem.frequency - reach)
+                f = target if f - target < SMALLEST_STEP * target else f
+                gone = here.problem.frequency - f
+                found, surprise, change = self._step(f, here, None)
+                if surprise > LARGEST_SURPRISE or (self.refine and change > self.refine):
+                    if gone <= SMALLEST_STEP * f:
+                        return points
+                    reach = 0.5 * gone
+                    continue
+                if self.refine or f == target:
+                    points.append(found)
+                here, reach = found, 2.0 * gone
+        return points
+
     def _pose(self, frequency: float, here: PeriodicSolution) -> ContactProblem:
         """The problem on the branch of ``here``, which may have been found with the default weights only."""
         return adopt_weights(self.problem_at(frequency), here.problem)

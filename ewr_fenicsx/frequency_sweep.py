@@ -311,7 +311,7 @@ def _rebuild(problem_at: Callable[[float], ContactProblem], records: list[Record
 def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: Follower) -> Curve:
     """One curve of all blocks: where two do not meet, the branch of the former is followed until they do.
 
-    So it is through a block in which no cold start found a solution.
+    So it is through a block in which no cold start found a solution, and down from the first that one did find.
     """
     curve = Curve()
     for part, targets in zip(parts, pieces, strict=True):
@@ -333,6 +333,10 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
                 ahead = [jump for jump in part.jumps if jump.frequency[1] > target]
                 curve.extend(Curve(part.points[meets[-1] + 1 :], ahead))
                 break
+    lowest = curve.points[0].problem.frequency if curve.points else -np.inf
+    below = sorted({f for targets in pieces for f in targets if f < lowest}, reverse=True)
+    if below:
+        curve.points[:0] = reversed(follower.descend(curve.points[0], below))
     return curve
 
 

@@ -88,3 +88,16 @@ def test_where_more_harmonics_find_no_solution_the_one_before_stays(monkeypatch)
     assert not found.reached and found.solution.orders[-1] == FIRST_ORDER and len(found.levels) == 1
     assert "no solution found with harmonics up to" in found.limit and ": as if" in found.limit
     assert "solve with harmonics of your own" in found.summary()
+
+
+def test_where_more_harmonics_are_not_found_from_few_a_cold_start_may_find_them(monkeypatch, truth_behind_springs):
+    def refuse_warm(problem, start, tolerance, *, fallbacks):
+        found = solve(problem, start, tolerance, fallbacks=fallbacks)
+        if start is not None:
+            raise NotConverged("as if", best=replace(found, reason="as if"))
+        return found
+
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_warm)
+    found = solve_to_accuracy(rub_behind_springs(), 0.003)
+    assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
+    assert [told.split(": ")[1] for told in found.solution.fallbacks[:2]] == ["given start", "growing harmonics"]

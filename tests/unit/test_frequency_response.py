@@ -23,7 +23,7 @@ from ewr_fenicsx import (
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Jump, agree
+from ewr_fenicsx.following import LARGEST_SURPRISE, Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
 from ewr_fenicsx.refining import join_points, measure_gap, refine_point
 from ewr_fenicsx.solution_store import read_records, restore, strip
@@ -46,38 +46,6 @@ def test_every_point_is_what_a_cold_solve_finds():
             solution.output("tip"), cold.output("tip"), atol=1e-7 * abs(cold.output("tip")).max()
         )
     assert curve.output("tip").shape == (9, 6)
-
-
-def test_blocks_of_another_size_give_the_same_curve(monkeypatch):
-    one = sweep().output("tip")
-    monkeypatch.setattr(frequency_sweep, "BLOCK", 2)
-    np.testing.assert_allclose(sweep().output("tip"), one, atol=1e-7 * np.abs(one).max())
-
-
-def test_a_block_without_a_cold_solution_is_followed_from_the_one_before(monkeypatch):
-    usual, cold = sweep(), frequency_sweep._solve_block
-    monkeypatch.setattr(frequency_sweep, "BLOCK", 2)
-    monkeypatch.setattr(frequency_sweep, "_solve_block", lambda f, b, s: ([], []) if b.number == 2 else cold(f, b, s))
-    curve = sweep()
-    assert curve.missing == () and curve.jumps == ()
-    np.testing.assert_allclose(curve.output("tip"), usual.output("tip"), atol=1e-7 * np.abs(usual.output("tip")).max())
-
-
-def test_blocks_meet_where_a_fold_lies_between_them(monkeypatch):
-    """Cold starts find either branch where there are three; joined, the blocks are the curve of one sweep."""
-    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
-    frequencies = np.linspace(0.16, 0.18, 11)
-    shapes = []
-    for size in (2, 3, 20):
-        monkeypatch.setattr(frequency_sweep, "BLOCK", size)
-        curve = frequency_response(model, laws, frequencies, harmonics=7, progress=False)
-        assert curve.jumps == ()
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
-        shapes.append((len(turns), curve.frequencies[turns], np.abs(curve.output("tip")[[0, -1], 1])))
-    for turns, folds, ends in shapes:
-        assert turns == 2
-        np.testing.assert_allclose(folds, shapes[0][1], rtol=1e-3)
-        np.testing.assert_allclose(ends, shapes[0][2], rtol=1e-7)
 
 
 def test_adaptive_frequencies_resolve_the_resonance():
@@ -334,18 +302,6 @@ def test_breaks_of_a_curve_are_where_its_jumps_are():
     assert breaks((2.0, 3.0)) == (1,) and breaks((2.0, 3.0), (2.0, 3.0)) == (1, 4)
     assert breaks((3.0, 2.5)) == (2,) and breaks((3.0, 4.0)) == (5,)
     assert breaks((3.7, 5.0)) == (5,), "from a point between given frequencies, which is not kept"
-
-
-def test_a_jump_before_blocks_meet_is_no_jump_of_their_curve(monkeypatch):
-    """The second block began on another branch, which it lost; the first one's leads on to where it went."""
-    point = lambda f: SimpleNamespace(problem=ContactProblem(lift_off_oscillator(), LAWS, f))  # noqa: E731
-    first = Curve([point(1.0), point(2.0)])
-    second = Curve([point(2.0), point(3.0), point(4.0)], [Jump((2.5, 3.0), ""), Jump((3.5, 4.0), "")])
-    follower = SimpleNamespace(follow=lambda start, targets: Curve([point(f) for f in targets]))
-    monkeypatch.setattr(frequency_sweep, "agree", lambda a, b: a.problem.frequency > 2)
-    curve = frequency_sweep._join([first, second], [(1.0, 2.0), (2.0, 3.0, 4.0)], follower)
-    assert [p.problem.frequency for p in curve.points] == [1, 2, 3, 4]
-    assert [jump.frequency for jump in curve.jumps] == [(3.5, 4.0)]
 
 
 def test_accurate_curves_are_kept_in_files(tmp_path):
