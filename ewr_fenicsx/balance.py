@@ -14,7 +14,7 @@ from typing import get_args
 
 import numpy as np
 
-from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.elimination import REDUNDANCY
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ewr_fenicsx.compliance import DynamicCompliance
-from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.law_derivatives import Derivative

@@ -20,7 +20,7 @@ from itertools import islice
 import numpy as np
 
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
-from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners

@@ -20,7 +20,7 @@ import scipy.linalg
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import condense
-from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis

@@ -18,9 +18,9 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing",
     "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics",
-    "compliance", "closure", "layout", "contact_problem", "ignored", "law_derivatives", "elimination", "newton_step",
-    "balance", "inexact_step", "stability", "walking", "indicators", "solution", "contact_state", "time_stepping",
-    "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton",
+    "compliance", "closure", "layout", "contact_system", "contact_problem", "ignored", "law_derivatives", "elimination",
+    "newton_step", "balance", "inexact_step", "stability", "walking", "indicators", "solution", "contact_state",
+    "time_stepping", "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton",
     "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following", "refining",
     "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
     "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",

@@ -11,7 +11,7 @@ from small_models import PROBLEMS, dovetail, stop_oscillator
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import condense
-from ewr_fenicsx.contact_problem import ContactSystem
+from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton_step import NewtonStep
