@@ -16,7 +16,7 @@ from ewr_fenicsx._compat import measure_compilation
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
-from ewr_fenicsx.errors import SceneError, nearest
+from ewr_fenicsx.errors import ModelError, SceneError, nearest
 from ewr_fenicsx.interface import Interface, pair_interface
 from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
@@ -91,11 +91,13 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         progress: Called as ``progress(stage, None)`` when a stage begins and ``progress(stage, seconds)`` when it ends.
 
     Raises:
-        SceneError: No scene, or one that names a body or boundary that the mesh does not have.
+        SceneError: No scene, or one that names a body or boundary that the mesh does not have, or a law that lacks a
+            parameter.
         MeshError, InterfaceError, ModesError: The geometry does not give a joint that can be solved.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {scene!r}; give a scene as load_scene(path) returns it")
+    check_laws(scene)
     watch = Stopwatch(progress)
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
@@ -222,6 +224,20 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
                     f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
                     f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{nearest(name, known)}"
                 )
+
+
+def check_laws(scene: Scene) -> None:
+    """Checks that the laws have all their parameters, before a mesh is made for nothing.
+
+    Raises:
+        SceneError: Names the law, what it lacks, and the flank if there are several.
+    """
+    for flank in scene.contact.flanks or tuple(scene.flanks) or ("",):
+        try:
+            _laws(scene.laws_on(flank))
+        except ModelError as error:
+            where = f"flanks.{flank}" if flank in scene.flanks else "contact"
+            raise SceneError(f"{scene.where}: {where}: {error}") from None
 
 
 def check_flanks(scene: Scene, interface: Interface) -> None:

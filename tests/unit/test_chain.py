@@ -1,13 +1,16 @@
-"""The stopwatch of the chain: stages within stages, and compilation apart from what it happens in."""
+"""The chain: what it refuses at once, and its stopwatch (stages in stages, compilation apart from where it happens)."""
 
 from __future__ import annotations
+
+from dataclasses import make_dataclass
 
 import dolfinx
 import pytest
 import ufl
 from mpi4py import MPI
+from small_scenes import write_blocks
 
-from ewr_fenicsx import _compat, chain
+from ewr_fenicsx import _compat, chain, law_kinds, load_scene
 from ewr_fenicsx.chain import Stopwatch, add_times
 from ewr_fenicsx.errors import SceneError
 
@@ -76,3 +79,16 @@ def test_compilation_is_measured_on_every_form():
     _compat.assemble_vector(form)
     assert before < after_space < after_form
     assert _compat.measure_compilation() == after_form
+
+
+@pytest.mark.parametrize(
+    ("entries", "where"),
+    [('[contact]\ntangential = "mine"', "contact: "), ('[flanks.seat]\ntangential = "mine"', "flanks.seat: ")],
+)
+def test_a_law_that_lacks_a_parameter_is_told_before_there_is_a_mesh(tmp_path, monkeypatch, entries, where):
+    kind = make_dataclass("Mine", [("spring", float)], bases=(law_kinds.LawKind,), frozen=True)
+    monkeypatch.setitem(law_kinds._KINDS, ("tangential", "mine"), kind)
+    monkeypatch.setattr(chain, "build_mesh", lambda *given: pytest.fail("a mesh was made"))
+    (tmp_path / "scene.toml").write_text(write_blocks(entries))
+    with pytest.raises(SceneError, match=f"scene.toml: {where}.*missing .* 'spring'; give it in parameters="):
+        chain.build_chain(load_scene(tmp_path / "scene.toml"))
