@@ -133,7 +133,7 @@ class PeriodicSolution:
             samples: Samples a period, from ``tau = omega t = 0`` on, its end left out.
 
         Raises:
-            ModelError: An unknown name, or no whole number of samples.
+            ModelError: An unknown name, one that no law reports, or no whole number of samples.
         """
         if name not in self.histories:
             known = self.histories
@@ -164,9 +164,12 @@ class PeriodicSolution:
         reported = np.zeros((samples, model.pairs))
         if name == "admissible_friction_force":
             reported = self.history(SECOND * (along != "tangential") + "friction_force", samples)
-        for law, fields in self.law_fields(basis):
-            if name in fields and (law.direction == "second_tangential") == (along == "second_tangential"):
-                reported[:, law.pairs] = fields[name]
+        fields = [(law, fields) for law, fields in self.law_fields(basis) if name in fields]
+        if not fields and name not in HISTORIES:
+            raise ModelError(f'a kind names "{name}" in its histories, and no law of it reports that in fields')
+        for law, found in fields:
+            if (law.direction == "second_tangential") == (along == "second_tangential"):
+                reported[:, law.pairs] = found[name]
         return reported
 
     def sliding_speed(self, samples: int = 1024) -> RealArray:

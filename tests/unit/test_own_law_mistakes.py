@@ -69,6 +69,13 @@ def test_laws_that_make_no_sense_are_refused(laws, message, monkeypatch):
         solve(pose(dataclass(make_kind(*laws)), monkeypatch))
 
 
+def test_a_history_that_no_law_reports_is_not_zero(monkeypatch):
+    solution = solve(pose(dataclass(make_kind(damper(), histories=("slip", "warmth"))), monkeypatch))
+    assert np.any(solution.history("slip"))
+    with pytest.raises(ModelError, match='names "warmth" in its histories, and no law of it reports that in fields'):
+        solution.history("warmth")
+
+
 def test_parameters_that_do_not_fit_name_their_law(monkeypatch):
     fields = {"__annotations__": {"limit": list}, "build": lambda self, group: group.spread(self.limit)}
     problem = pose(dataclass(make_kind(**fields)), monkeypatch, limit=[1.0, 2.0, 3.0])
