@@ -88,7 +88,7 @@ class FrequencyResponse:
 
     @cached_property
     def unstable(self) -> np.ndarray:
-        """``(n,)`` solutions that motions in time leave: between two folds, or by alternating from period to period.
+        """``(n,)`` solutions that motions in time leave: between two folds, alternating, or (small models) in a spiral.
 
         Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
         where branches cross (``PeriodicSolution.side``).
@@ -96,8 +96,8 @@ class FrequencyResponse:
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
         near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        found = [s.alternates or (at and s.side < 0) for at, s in zip(near, self.solutions, strict=True)]
-        return np.array(found, dtype=bool)
+        leaves = lambda s, near: s.alternates or s.multiplier != 0 or (near and s.side < 0)  # noqa: E731
+        return np.array([leaves(*point) for point in zip(self.solutions, near, strict=True)], dtype=bool)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.

@@ -13,6 +13,7 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.floquet import find_growth, tell_where_to
 from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.ignored import list_ignored
@@ -93,11 +94,8 @@ class PeriodicSolution:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
             modes = system.model.rigid_modes
             rows = np.vstack([system.rows, *system.model.outputs.values()])
-            names = system.model.outputs
-            wanted = system.compliance.motion(self.forces, self.rigid)[0].real
-            wanted = np.concatenate(
-                [wanted, [system.compliance.output(n, self.forces, self.rigid)[0].real for n in names]]
-            )
+            outputs = [system.compliance.output(n, self.forces, self.rigid)[0].real for n in system.model.outputs]
+            wanted = np.concatenate([system.compliance.motion(self.forces, self.rigid)[0].real, outputs])
             amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
         return amplitudes @ system.expansion.T
 
@@ -250,16 +248,9 @@ class PeriodicSolution:
         for j, h in enumerate(self.orders):
             w = h * self.problem.omega
             x = self.coordinates[j]
-            left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x)
-            left = (
-                left
-                - self.problem.loads.get(h, 0)
-                - sum(
-                    model.rows(d).T @ force[j]
-                    for d, force in found.items()
-                    if d != "normal" or model.normal is not None
-                )
-            )
+            known = [d for d in found if d != "normal" or model.normal is not None]
+            given = self.problem.loads.get(h, 0) + sum(model.rows(d).T @ found[d][j] for d in known)
+            left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x) - given
             force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
             start = 0
             for direction, pairs in held:
@@ -335,8 +326,7 @@ class PeriodicSolution:
             stable = "this one is unstable" if self.unstable else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
         elif self.unstable:
-            often = ", most often for one that repeats every second period" if self.alternates else ""
-            lines.append(f"unstable: motions in time leave it{often}; integrate(problem) shows where to")
+            lines.append(f"unstable: motions in time leave it{tell_where_to(self.alternates, self.multiplier)}")
         return tuple(lines)
 
     def list_reservations(self) -> list[str]:
@@ -354,10 +344,16 @@ class PeriodicSolution:
         taps = any(np.any(state.any(axis=0) & ~state.all(axis=0)) for state in self._open)
         return self.converged and taps and alternates(self.problem.system, self.forces, self.rigid)
 
+    @cached_property
+    def multiplier(self) -> complex:
+        """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0; looked for in small models."""
+        looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
+        return find_growth(self.problem.system, self.forces, self.rigid) if looked_at else 0.0
+
     @property
     def unstable(self) -> bool:
-        """Whether a real Floquet multiplier is beyond one or minus one; it may be unstable in other ways."""
-        return self.side < 0 or self.alternates
+        """Whether a Floquet multiplier is seen beyond the unit circle; not all are. See ``stability.py``."""
+        return self.side < 0 or self.alternates or self.multiplier != 0
 
     def _pose(self) -> tuple[HarmonicBalance, RealArray]:
         """The balance and its unknowns here; in units of these forces, for full stick would take as long as a step."""
