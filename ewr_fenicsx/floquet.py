@@ -28,7 +28,7 @@ from ewr_fenicsx.harmonics import FourierBasis
 
 MOST_COORDINATES, MOST_UNKNOWNS = 40, 1500  # of a model and of Hill's determinant: a fraction of a second each
 STEPS = 512  # a period, at least
-GROWTH = 1.005  # a period, from which on it counts: less is within the errors of few harmonics
+GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
 SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
 GUESSES, REFINEMENTS = 3, 12  # at most: of multipliers, and of the exponent of each
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
