@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -347,8 +347,11 @@ class PeriodicSolution:
     @cached_property
     def multiplier(self) -> complex:
         """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0; looked for in small models."""
-        looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
-        return find_growth(self.problem.system, self.forces, self.rigid) if looked_at else 0.0
+        problem = replace(self.problem, closure="dashpot") if self.problem.has_springs else self.problem
+        looked_at = (
+            self.converged and problem.system.rows.shape[0] and self.orders[-1]
+        )  # springs remember, dashpots not
+        return find_growth(problem.system, self.forces, self.rigid) if looked_at else 0.0
 
     @property
     def unstable(self) -> bool:
