@@ -16,7 +16,7 @@ import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.reduced_model import ReducedModel
+from ewr_fenicsx.reduced_model import ReducedModel, bound_motion
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
 
@@ -103,7 +103,7 @@ def condense(
         )
     m, names = rows.shape[0], list(model.outputs)
     readers = np.vstack([rows, *(model.outputs[name] for name in names)])
-    modes = scale_rigid_modes(model.rigid_modes, rows) if orders[0] == 0 else np.zeros((model.size, 0))
+    modes = scale_rigid_modes(model, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
     superposed = find_normal_modes(model)
     if superposed is not None:
@@ -252,21 +252,25 @@ def solve_static(
         return response
     modes = modes @ np.linalg.inv(np.linalg.cholesky(modes.T @ model.mass @ modes)).T
     inertia = model.mass @ modes
-    grounded = model.stiffness + np.abs(model.stiffness).max() / np.abs(inertia).max() ** 2 * (inertia @ inertia.T)
+    stiff = np.abs(model.stiffness).max() or 1.0  # any will do where nothing bends
+    grounded = model.stiffness + stiff / np.abs(inertia).max() ** 2 * (inertia @ inertia.T)
     balanced = forces - inertia @ (modes.T @ forces)
     response = scipy.linalg.solve(grounded, balanced, assume_a="sym", check_finite=False)
     return response - modes @ (inertia.T @ response)
 
 
-def scale_rigid_modes(modes: RealArray, rows: RealArray) -> RealArray:
+def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:
     """Rigid modes ``(n, r)`` orthogonalised as the contact rows see them, each with a largest row motion of 1.
 
     Raises:
         ModelError: A rigid motion moves no contact row: nothing could ever hold it.
     """
+    modes = model.rigid_modes
     if modes.shape[1] == 0:
         return modes
-    modes = modes / np.abs(rows @ modes).max(axis=0, initial=1e-300)
+    motion = np.abs(rows @ modes).max(axis=0, initial=0.0)
+    seen = motion > 1e-10 * bound_motion(model, rows)
+    modes = modes / np.where(seen, motion, np.inf)  # what is rounding must not become a motion
     _, values, turn = np.linalg.svd(rows @ modes, full_matrices=True)
     if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
         raise ModelError(

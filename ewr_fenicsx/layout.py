@@ -6,7 +6,7 @@ They follow from the kinds of law alone, so that problems that differ in paramet
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -17,8 +17,9 @@ from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.law_kinds import LawKind
-from ewr_fenicsx.reduced_model import ReducedModel, hold
+from ewr_fenicsx.reduced_model import ROUNDINGS, ReducedModel, bound_motion
 
+_OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
 DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
 
@@ -114,6 +115,61 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
     return Layout(kept, expansion, rows, index, flexibility, mobility)
+
+
+def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
+    """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
+
+    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left.
+
+    Args:
+        model: The model.
+        rows: ``(m, n)`` rows held.
+
+    Returns:
+        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
+
+    Raises:
+        ModelError: Nothing is left to move.
+    """
+    rows = rows[np.any(rows != 0, axis=1)]
+    if rows.shape[0] == 0:
+        return model, np.eye(model.size)
+    basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
+    if basis.shape[1] == 0:
+        raise ModelError(
+            f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
+            "directions, or give a model with more coordinates"
+        )
+    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
+    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
+    held = replace(
+        model,
+        mass=symmetric(basis.T @ model.mass @ basis),
+        damping=basis.T @ model.damping @ basis,
+        stiffness=symmetric(_project_stiffness(model.stiffness, basis)),
+        normal=project(model.normal),
+        tangential=project(model.tangential),
+        load={h: basis.T @ f for h, f in model.load.items()},
+        outputs={name: basis.T @ c for name, c in model.outputs.items()},
+        rigid_modes=basis.T @ _rigid_modes_that_obey(model, rows),
+    )
+    return held, basis
+
+
+def _project_stiffness(stiffness: RealArray, basis: RealArray) -> RealArray:
+    """``basis^T K basis`` without its rounding, which would count as stiffness where a motion is free of any."""
+    forces, eps = np.abs(stiffness).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
+    reached = np.abs(basis).T @ forces + eps * forces.sum()
+    projected, rounding = basis.T @ stiffness @ basis, ROUNDINGS * len(stiffness) * eps * np.add.outer(reached, reached)
+    return np.where(np.abs(projected) > rounding, projected, 0.0)
+
+
+def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
+    """Combinations of the rigid modes that leave rows at rest."""
+    modes = model.rigid_modes / bound_motion(model, rows)
+    _, values, turn = np.linalg.svd(rows @ modes)
+    return modes @ turn[np.count_nonzero(values > _OBEYED) :].T
 
 
 def _advise(direction: str, moves_in_plane: bool) -> str:

@@ -14,7 +14,7 @@ Conventions, for the whole package
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from reprlib import repr as shorten
 from urllib.parse import unquote
@@ -30,7 +30,7 @@ from ewr_fenicsx.whole_files import replace_file
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
-_NULL = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
+ROUNDINGS = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDIES = {  # what to do about complex ones
     "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at its frequency",
@@ -234,51 +234,14 @@ def find_rigid_modes(stiffness: RealArray) -> RealArray:
     return scale[:, None] * vectors[:, values < rounding]
 
 
-def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
-    """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
+def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
+    """``(r,)`` motion that rows could see of each rigid mode: far less than this is rounding.
 
-    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left.
-
-    Args:
-        model: The model.
-        rows: ``(m, n)`` rows held.
-
-    Returns:
-        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
-
-    Raises:
-        ModelError: Nothing is left to move.
+    By Cauchy and Schwarz, in units of which the coordinates' own ones drop out.
     """
-    rows = rows[np.any(rows != 0, axis=1)]
-    if rows.shape[0] == 0:
-        return model, np.eye(model.size)
-    basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
-    if basis.shape[1] == 0:
-        raise ModelError(
-            f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
-            "directions, or give a model with more coordinates"
-        )
-    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
-    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
-    held = replace(
-        model,
-        mass=symmetric(basis.T @ model.mass @ basis),
-        damping=basis.T @ model.damping @ basis,
-        stiffness=symmetric(basis.T @ model.stiffness @ basis),
-        normal=project(model.normal),
-        tangential=project(model.tangential),
-        load={h: basis.T @ f for h, f in model.load.items()},
-        outputs={name: basis.T @ c for name, c in model.outputs.items()},
-        rigid_modes=basis.T @ _rigid_modes_that_obey(model, rows),
-    )
-    return held, basis
-
-
-def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
-    if model.rigid_modes.shape[1] == 0:
-        return model.rigid_modes
-    motion = rows @ model.rigid_modes
-    return model.rigid_modes @ scipy.linalg.null_space(motion / np.abs(motion).max(initial=1e-300), rcond=1e-8)
+    root = _own_units(model.stiffness, model.mass)
+    seen = np.linalg.norm(rows / root, axis=1).max(initial=0.0)
+    return seen * np.linalg.norm(root[:, None] * model.rigid_modes, axis=0)
 
 
 def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None)) -> RealArray:
@@ -351,17 +314,24 @@ def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
     _check_completeness(stiffness, modes)
 
 
-def _own_units(stiffness: RealArray) -> RealArray:
-    """``(n,)`` roots of the stiffness's own diagonal, by which results do not depend on the coordinates' units."""
-    diagonal = np.abs(np.diag(stiffness))
-    return np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+def _own_units(stiffness: RealArray, mass: RealArray | None = None) -> RealArray:
+    """``(n,)`` roots of the stiffness's own diagonal, by which results do not depend on the coordinates' units.
+
+    Where it is zero, of the mass's: as stiff as the softest of the others, mass by mass.
+    """
+    stiff = np.abs(np.diag(stiffness))
+    heavy = np.zeros(stiff.size) if mass is None else np.abs(np.diag(mass))
+    both = (stiff > 0) & (heavy > 0)
+    softest = np.min(stiff[both] / heavy[both]) if np.any(both) else 1.0
+    squares = np.where(stiff > 0, stiff, softest * heavy)
+    return np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
 def _check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> None:
     """That every rigid motion has kinetic energy: a coordinate with neither mass nor stiffness has none."""
     if modes.shape[1] == 0:
         return
-    root = _own_units(stiffness)
+    root = _own_units(stiffness, mass)
     apart, scaled = scipy.linalg.orth(root[:, None] * modes), mass / root[:, None] / root
     energies, motions = np.linalg.eigh(apart.T @ scaled @ apart)
     if energies[0] <= _MASSLESS * np.abs(scaled).max():
@@ -378,7 +348,7 @@ def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
     apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
     resisted = stiffness / root[:, None] / root + apart @ apart.T
     try:
-        np.linalg.cholesky(resisted - _NULL * n * np.finfo(float).eps * np.eye(n))
+        np.linalg.cholesky(resisted - ROUNDINGS * n * np.finfo(float).eps * np.eye(n))
         complete = True
     except np.linalg.LinAlgError:
         complete = False

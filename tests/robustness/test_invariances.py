@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, transform_coordinates
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.solution import PeriodicSolution
 
 both = pytest.mark.parametrize("closure", ["dashpot", "spring"])
@@ -105,6 +106,36 @@ def test_coordinates_do_not_matter(closure, seed, spread):
     np.testing.assert_allclose(
         solution.output("tip"), joint.output("tip"), atol=1e-6 * np.abs(joint.output("tip")).max()
     )
+
+
+def body_on_a_slide(degrees: float, *, held: bool) -> ReducedModel:
+    """A mass on a spring along one axis and free along the other, pressed along the one that is ``held``, turned."""
+    turn = np.radians(degrees)
+    sprung, free = np.array([[np.sin(turn), np.cos(turn)], [np.cos(turn), -np.sin(turn)]])
+    normal, tangent = (free, sprung) if held else (sprung, free)
+    return ReducedModel(
+        mass=np.eye(2),
+        damping=0.1 * np.outer(sprung, sprung) + 0.1 * np.eye(2),
+        stiffness=4.0 * np.outer(sprung, sprung),
+        normal=[normal],
+        tangential=[tangent],
+        load={0: -normal, 1: 0.3 * sprung + 0.1 * free},
+        outputs={"normal": normal},
+    )
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 33, 45, 60, 77])
+def test_a_motion_that_rounding_alone_moves_is_no_motion(degrees):
+    """Turned axes leave roundings where zeros were: of what bonds and contact see of a rigid motion, and of stiffness.
+
+    Pressed across its slide, nothing holds the body along it. Pressed along it and bonded across, contact does: the
+    contact force is the load, and the body stays where it is.
+    """
+    with pytest.raises(ModelError, match=r"1 rigid motions of floating bodies, but .* tell only 0 of them apart"):
+        solve(ContactProblem(body_on_a_slide(degrees, held=False), ContactLaws(tangential="frictionless"), 0.2, 3))
+    solution = solve(ContactProblem(body_on_a_slide(degrees, held=True), ContactLaws(tangential="bonded"), 0.2, 3))
+    np.testing.assert_allclose(solution.pair_forces["normal"][:, 0], [1.0, -0.1, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(solution.output("normal"), 0.0, atol=1e-9)
 
 
 def test_shift_between_samples_only_moves_the_sampling():

@@ -163,7 +163,7 @@ def test_contact_forces_carry_the_static_pull(inverse):
 def test_rigid_modes_are_scaled_to_what_the_rows_see():
     model = dovetail()
     rows = np.vstack([model.normal, model.tangential])
-    modes = scale_rigid_modes(transform_coordinates(model, 1e-4 * np.eye(26)).rigid_modes, rows)
+    modes = scale_rigid_modes(transform_coordinates(model, 1e-4 * np.eye(26)), rows)
     np.testing.assert_allclose(np.abs(rows @ modes).max(axis=0), 1.0, rtol=1e-12)
     overlap = (rows @ modes).T @ (rows @ modes)
     np.testing.assert_allclose(overlap, np.diag(np.diag(overlap)), atol=1e-12)
@@ -177,6 +177,22 @@ def test_rigid_motions_that_contact_cannot_tell_apart_are_refused():
         condense(model, model.normal[:2], {}, 1.0, (0, 1))
     with pytest.raises(ModelError, match=r"3 rigid motions .* tell only 0 of them apart; .* add friction or pairs"):
         condense(model, model.normal[:0], {}, 1.0, (0, 1))  # given and bonded forces are none that could hold
+
+
+def test_bodies_without_any_stiffness_only_move_rigidly():
+    """Two masses, with a dashpot between them or without: nothing bends, and contact balances the load."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 2.0]),
+        damping=np.diag([0.1, 0.2]),
+        stiffness=np.zeros((2, 2)),
+        normal=np.eye(2),
+        load={0: [-1.0, -2.0], 1: [0.3, 0.0]},
+    )
+    coupled = replace(model, damping=[[0.2, -0.2], [-0.2, 0.2]])
+    assert find_normal_modes(model) is not None and find_normal_modes(coupled) is None
+    for held in (model, coupled):
+        solution = solve(ContactProblem(held, ContactLaws(tangential="frictionless"), 0.5, 3))
+        np.testing.assert_allclose(solution.forces[:2], [[1.0, 2.0], [-0.3, 0.0]], atol=1e-8)
 
 
 def test_a_vibration_without_mean_needs_no_equilibrium():

@@ -16,7 +16,8 @@ from small_models import dovetail, friction_oscillator, random_structure, transf
 
 from ewr_fenicsx import ReducedModel
 from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
-from ewr_fenicsx.reduced_model import find_rigid_modes, hold
+from ewr_fenicsx.layout import hold
+from ewr_fenicsx.reduced_model import find_rigid_modes
 
 PLAIN = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.eye(2), "normal": [[1.0, 0.0]]}
 SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
@@ -217,6 +218,13 @@ def test_a_coordinate_with_neither_mass_nor_stiffness_is_named(damper):
         ReducedModel(
             mass=np.diag([1.0, 0.0]), damping=np.diag([0.1, damper]), stiffness=np.diag([1.0, 0.0]), normal=[[1.0, 0.0]]
         )
+
+
+def test_a_mass_without_springs_does_not_pass_for_all_the_mass_there_is():
+    """Beside a stiff, light body that floats as well; whatever the units, which alone would not do."""
+    light = 1e12 * np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    model = ReducedModel(mass=np.diag([1e-4, 1e-4, 1.0]), damping=np.zeros((3, 3)), stiffness=light, normal=np.eye(3))
+    assert model.rigid_modes.shape == (3, 2)
 
 
 def test_a_grounded_structure_has_none():

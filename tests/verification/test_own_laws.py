@@ -29,7 +29,7 @@ from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.dashpots import read_weight
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
-from ewr_fenicsx.reduced_model import hold
+from ewr_fenicsx.layout import hold
 from ewr_fenicsx.solution import PeriodicSolution
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
