@@ -309,7 +309,9 @@ class PeriodicSolution:
             return ()
         merit, coarse = self.merit, []
         exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
-        swinging = np.pi * float(np.array(self.orders) @ np.sum(np.abs(self.excitation * self.coordinates), axis=1))
+        strained = np.abs(self.forces) ** 2 @ self.problem.system.flexibility  # where contact stops all, motion rounds
+        moved = np.sum(np.abs(self.excitation * self.coordinates), axis=1)
+        swinging = np.pi * float(np.array(self.orders) @ (moved + strained))
         normal = [laws.kinds[0] for _, laws in self.problem.groups]
         tells = all(kind.only_pushes for kind in normal if kind.acts_in(self.problem.model.tangents))  # of truncation
         if tells and abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.indicators import (
@@ -291,6 +291,16 @@ def test_a_summary_says_where_truncation_is_coarse(rubbing):
     undamped = replace(dovetail(excitation=1.0), damping=np.zeros((26, 26)))
     stuck = solve(ContactProblem(undamped, ContactLaws(friction=5.0), 200.0, 3))
     assert abs(stuck.merit["energy_error"]) > 0.01 and stuck.cautions == ()
+    alone = ReducedModel(
+        mass=np.eye(2),
+        damping=20 * np.eye(2),
+        stiffness=1e6 * np.eye(2),
+        normal=[[0.0, 1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, -100.0], 1: [20.0, 7j]},
+    )
+    at_rest = solve(ContactProblem(alone, ContactLaws(friction=0.5), 150.0, 5))
+    assert abs(at_rest.merit["energy_error"]) > 0.01 and at_rest.cautions == (), "contact holds all that there is"
 
 
 def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
