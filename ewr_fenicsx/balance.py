@@ -78,7 +78,7 @@ class HarmonicBalance:
         shift = np.diag(own)
         for j, h in enumerate(self.basis.orders):
             if h and np.any(compliance.free_motion[j]):
-                forces[j] = np.linalg.solve(compliance.flexibility[j] + shift, -compliance.free_motion[j])
+                forces[j] = _hold_still(compliance.flexibility[j] + shift, compliance.free_motion[j])
         if self.basis.has_mean:
             target = np.full(self.rows, np.nan)
             for law, rows in zip(self.system.laws, self.law_rows, strict=True):
@@ -291,3 +291,11 @@ def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:
                 f"{name} returns a {told} of shape {np.shape(values)}, {np.asarray(values).dtype}; give real numbers "
                 f"of shape {shape}, instants by pairs"
             )
+
+
+def _hold_still(flexibility: ComplexArray, motion: ComplexArray) -> ComplexArray:
+    """Forces ``(m,)`` that cancel a motion; the least ones where redundant pairs look the same next to a resonance."""
+    try:
+        return np.linalg.solve(flexibility, -motion)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(flexibility, -motion, rcond=REDUNDANCY)[0]

@@ -11,7 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import PeriodicSolution, newton, snes, solve, time_integration
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    PeriodicSolution,
+    ReducedModel,
+    newton,
+    snes,
+    solve,
+    time_integration,
+)
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.solution_store import restore, strip
@@ -235,6 +244,21 @@ def test_redundant_pairs_share_what_one_would_carry(name):
     )
     total = double.pair_forces["normal"][0].real.sum()
     assert total == pytest.approx(single.pair_forces["normal"][0].real.sum(), rel=1e-2)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+@pytest.mark.parametrize("off", [1e-5, 1e-4])
+def test_redundant_pairs_next_to_a_resonance_act_as_one(friction, off):
+    """There pairs give way thousandfold more than at rest, and what tells redundant ones apart is beyond rounding."""
+
+    def swing(pairs: int) -> np.ndarray:
+        model = ReducedModel(
+            [[1.0]], [[1e-6]], [[1.0]], tangential=[[1.0]] * pairs, load={1: [1.0]}, outputs={"m": [1]}
+        )
+        laws = ContactLaws("prescribed", normal_force=2.0 / pairs, friction=friction)
+        return solve(ContactProblem(model, laws, (1 + off) / (2 * np.pi), (1, 3, 5))).output("m")
+
+    np.testing.assert_allclose(swing(2), swing(1), rtol=1e-6, atol=1e-9)
 
 
 def test_a_stiff_pair_weighs_no_more_than_a_soft_one():
