@@ -16,6 +16,7 @@ from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.solution import PeriodicSolution
 
 SAMPLES = 1024  # of the period, for integrals over a cycle
+_RIGID = 1e-12  # flexibility of pairs to one another, over their own, below which it is rounding
 
 
 def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
@@ -50,7 +51,9 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)]
     G = system.compliance.rigid_motion[rows]
     free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
-    stiffness = free @ np.linalg.pinv(free.T @ flexibility @ free, rcond=1e-10, hermitian=True) @ free.T
+    bends = free.T @ flexibility @ free
+    bends[np.abs(bends) <= _RIGID * system.flexibility[rows].max()] = 0.0
+    stiffness = free @ np.linalg.pinv(bends, rcond=1e-10, hermitian=True) @ free.T
     sliding = measure_sliding(solution.sliding_speed(SAMPLES)[:, pairs], 1 / problem.frequency)
     weight = coefficient[pairs] * sliding / problem.model.pair_area[pairs]
     wears = weight > 0  # the others keep their depth, to the last digit

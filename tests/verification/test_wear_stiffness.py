@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_models import winkler_punch
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
@@ -32,6 +32,27 @@ def test_a_pair_beside_others_that_do_not_wear_hands_its_load_to_them_and_wears_
     worn = evolve_wear(punch(), 50, one, Tolerance(share=0.01)).depth[-1]
     assert worn[4] == pytest.approx(1.25 * LOAD / (PAIRS * AREA * STIFFNESS), rel=0.02)
     np.testing.assert_array_equal(worn[:4], 0.0)
+
+
+@pytest.mark.parametrize("jump", [None, Tolerance(share=0.01)])
+def test_two_pairs_of_a_rigid_block_wear_as_one_of_twice_the_area(jump):
+    """Nothing bends between them: what they leave of a common stiffness is rounding, and no limit to what follows."""
+
+    def wear(pairs: int, area: float) -> float:
+        block = ReducedModel(
+            mass=np.eye(2),
+            damping=np.diag([50.0, 0.0]),
+            stiffness=np.diag([1e6, 0.0]),
+            normal=[[0.0, 1.0]] * pairs,
+            tangential=[[1.0, 0.0]] * pairs,
+            load={0: [0.0, -100.0], 1: [80.0, 0.0]},
+            pair_area=np.full(pairs, area),
+        )
+        history = evolve_wear(ContactProblem(block, ContactLaws(friction=0.3), 150.0, 5), 30, 1e-11, jump)
+        assert history.stopped is None
+        return float(history.depth[-1].mean())
+
+    assert wear(2, 1e-5) == pytest.approx(wear(1, 2e-5), rel=1e-3), "one carries all, then the other"
 
 
 def test_a_load_that_open_pairs_do_not_share_wears_on_and_on():
