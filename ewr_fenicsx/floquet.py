@@ -42,7 +42,7 @@ def find_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -
     """The largest Floquet multiplier beyond the unit circle.
 
     Args:
-        system: What was solved, with a row at least, at a positive frequency.
+        system: What was solved.
         forces: Its solution's contact forces ``(n_h, m)`` [N].
         rigid: Its rigid coordinates ``(r,)`` [m].
 
@@ -50,8 +50,9 @@ def find_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -
         The one of a pair with positive imaginary part; 0 where none is, where the model is too large to look, and where
         a law remembers.
     """
-    count = (2 * system.basis.orders[-1] + 1) * system.rows.shape[0]
-    if system.model.size > MOST_COORDINATES or count > MOST_UNKNOWNS:
+    top, rows = system.basis.orders[-1], system.rows.shape[0]
+    small = system.model.size <= MOST_COORDINATES and (2 * top + 1) * rows <= MOST_UNKNOWNS
+    if not (top and rows and small):
         return 0.0
     slopes = differentiate_laws(system, forces, rigid, 2 * max(STEPS, system.basis.samples))
     if slopes is None:

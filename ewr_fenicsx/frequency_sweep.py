@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import signature
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_state import list_figures
-from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
 from ewr_fenicsx.newton import adopt_weights, has_own_weights, solve
@@ -30,7 +31,16 @@ from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import Record, fingerprint, gather_output, list_orders, restore, strip, write_records
+from ewr_fenicsx.solution_store import (
+    Record,
+    fingerprint,
+    gather_figure,
+    gather_output,
+    list_orders,
+    restore,
+    strip,
+    write_records,
+)
 from ewr_fenicsx.sweep_store import FORMAT, Block, BlockStore
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
@@ -113,10 +123,7 @@ class FrequencyResponse:
         Raises:
             ModelError: There is no such figure.
         """
-        known = self.solutions[0].merit if self.solutions else {}
-        if name not in known:
-            raise ModelError(f'no figure "{name}"; there are {", ".join(known)}')
-        return np.array([s.merit[name] for s in self.solutions])
+        return gather_figure(self.solutions, name)
 
     def table(self) -> dict[str, RealArray]:
         """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, instability, Newton steps.
@@ -214,6 +221,9 @@ def frequency_response(
     family = dict(laws) if isinstance(laws, Mapping) else {None: laws}
     if not family:
         raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
+    taken = {*signature(ContactProblem).parameters, *signature(frequency_response).parameters} - {"frequency"}
+    for name in settings.keys() - taken:
+        raise ModelError(f"{name}: no argument of frequency_response{nearest(name, taken)}")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)
     read_modes(modes, common.model.size)  # the points are solved again when the curve is there: too late for mistakes
 

@@ -47,6 +47,17 @@ def is_positive(value: object) -> bool:
     return isinstance(value, Real) and 0 < value < np.inf
 
 
+def read_samples(samples: object) -> int:
+    """A number of samples a period.
+
+    Raises:
+        ModelError: Not a whole number from 1.
+    """
+    if not is_whole(samples, 1):
+        raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, at least one")
+    return int(samples)
+
+
 def read_harmonic(name: str, harmonic: object) -> int:
     """The number of a harmonic, a key of what is given by harmonics.
 

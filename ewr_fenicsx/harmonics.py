@@ -12,6 +12,8 @@ import scipy.fft
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
 
+HIGHEST = 10_000  # harmonic up to which all may be asked for: its transform alone takes more memory than there is
+
 
 @dataclass(frozen=True)
 class FourierBasis:
@@ -164,11 +166,11 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
         samples: Samples a period; by default a power of two of at least 32 a highest harmonic, from 128.
 
     Raises:
-        ModelError: No harmonic, a repeated or negative one, or too few samples to tell them apart.
+        ModelError: No harmonic, too many, a repeated or negative one, or too few samples to tell them apart.
     """
     if isinstance(harmonics, (int, np.integer)):
-        if harmonics < 0:
-            raise ModelError(f"harmonics = {harmonics}; give the highest harmonic N >= 0, or a list of harmonics")
+        if not 0 <= harmonics <= HIGHEST:
+            raise ModelError(f"harmonics = {harmonics}; give the highest one, from 0 to {HIGHEST}, or a list of them")
         orders = tuple(range(int(harmonics) + 1))
     elif np.ndim(harmonics) != 1 or np.asarray(harmonics).dtype.kind not in "iuf":
         raise ModelError(f"harmonics = {harmonics!r}; give the highest harmonic, a whole number, or a list of them")

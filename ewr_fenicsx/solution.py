@@ -14,7 +14,7 @@ from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.floquet import find_growth, tell_where_to
-from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
+from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.stability import alternates, find_side
@@ -136,8 +136,7 @@ class PeriodicSolution:
         if name not in self.histories:
             known = self.histories
             raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
-        if not is_whole(samples, 1):
-            raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, at least one")
+        samples = read_samples(samples)
         model, basis = self.problem.model, FourierBasis(self.orders, samples)
         along = "second_tangential" if name in self._second_histories else "tangential"
         name = self._second_histories.get(name, name)
@@ -176,6 +175,9 @@ class PeriodicSolution:
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
         add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing.
         Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend.
+
+        Raises:
+            ModelError: No whole number of samples.
         """
         stride = self._find_stride(samples)
         basis = FourierBasis(self.orders, stride * samples)
@@ -194,7 +196,7 @@ class PeriodicSolution:
 
     def _find_stride(self, samples: int) -> int:
         """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""
-        return -(-self.problem.basis.samples // samples)
+        return -(-self.problem.basis.samples // read_samples(samples))
 
     @cached_property
     def slip_amplitudes(self) -> Mapping[str, ComplexArray]:

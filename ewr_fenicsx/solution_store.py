@@ -14,6 +14,7 @@ import numpy as np
 
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.solution import PeriodicSolution
@@ -88,6 +89,18 @@ def gather_output(solutions: Sequence[PeriodicSolution], name: str, orders: tupl
     for i, s in enumerate(solutions):
         amplitudes[i, np.searchsorted(orders, s.orders)] = s.output(name)
     return amplitudes
+
+
+def gather_figure(solutions: Sequence[PeriodicSolution], name: str) -> RealArray:
+    """``(n,)`` a figure of merit of every solution.
+
+    Raises:
+        ModelError: There is no such figure.
+    """
+    known = solutions[0].merit if solutions else {}
+    if name not in known:
+        raise ModelError(f'no figure "{name}"; there are {", ".join(known)}{nearest(name, known)}')
+    return np.array([s.merit[name] for s in solutions])
 
 
 def write_records(group: h5py.Group, records: Sequence[Record]) -> None:

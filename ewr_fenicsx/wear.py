@@ -21,7 +21,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import fingerprint, gather_output, list_orders
+from ewr_fenicsx.solution_store import fingerprint, gather_figure, gather_output, list_orders
 from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
@@ -101,8 +101,12 @@ class WearHistory:
         return gather_output(self.solutions, name, self.orders)
 
     def figure(self, name: str) -> RealArray:
-        """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``."""
-        return np.array([s.merit[name] for s in self.solutions])
+        """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
+
+        Raises:
+            ModelError: There is no such figure.
+        """
+        return gather_figure(self.solutions, name)
 
     def table(self) -> dict[str, RealArray]:
         """Column -> ``(steps,)``: cycles, worn depth and volume, sliding, separation and outputs."""

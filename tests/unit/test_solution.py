@@ -358,6 +358,8 @@ def test_what_the_laws_take_no_notice_of_is_told(laws, wear, told):
 def test_histories_need_a_number_of_samples(rubbing, samples):
     with pytest.raises(ModelError, match=r"samples = .*give a whole number"):
         rubbing.history("slip", samples)
+    with pytest.raises(ModelError, match=r"samples = .*give a whole number"):
+        rubbing.sliding_speed(samples)
 
 
 def test_where_nothing_may_part_nothing_is_told():

@@ -40,6 +40,11 @@ def test_the_mean_depth_is_the_volume_over_the_area():
     assert table["volume [m^3]"][-1] > 0
 
 
+def test_a_figure_that_there_is_none_of_is_named():
+    with pytest.raises(ModelError, match=r'no figure "J_S"; there are .*; did you mean "J_T"'):
+        evolve_wear(pose(), 1, WEAR).figure("J_S")
+
+
 def test_nothing_wears_at_rest():
     at_rest = replace(pose(), frequency=0.0, load={0: dovetail().load[0]})
     with pytest.raises(ModelError, match="no pair can wear: frequency = 0 Hz"):
