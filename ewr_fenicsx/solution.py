@@ -268,7 +268,6 @@ class PeriodicSolution:
         gap, over those that may part [m]; RMS of outputs in their own units.
         """
         problem, model, count = self.problem, self.problem.model, self.problem.basis.samples
-        omega = problem.omega or 1.0
         viscous = self._rate * (self.coordinates @ model.damping.T)
         fine = max(FINE, count)
         gap, normal = self.history("gap", fine), self.history("normal_force", fine)
@@ -278,7 +277,7 @@ class PeriodicSolution:
         slides = friction > 0
         work = indicators.measure_work(self.excitation, self.coordinates, self.orders)
         dissipated = indicators.measure_work(viscous, self.coordinates, self.orders)
-        period = 2 * np.pi / omega
+        period = 2 * np.pi / (problem.omega or 1.0)
         rubbed, truncated = 0.0, [np.zeros((fine, np.count_nonzero(slides)))]
         for direction, which in along.items():
             acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
