@@ -47,6 +47,12 @@ def lift_off_oscillator(
     )
 
 
+def repeat_first_pair(model: ReducedModel) -> ReducedModel:
+    """The model with its first pair twice: how the two share their force is not determined."""
+    normal, tangential = (np.vstack([rows, rows[:1]]) for rows in (model.normal, model.tangential))
+    return replace(model, normal=normal, tangential=tangential, pair_area=None)
+
+
 def dovetail(
     *, pull: float = 1000.0, excitation: complex = 60.0, damping: float = 2e-6, seed: int = 3, angle: float = 50.0
 ) -> ReducedModel:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from small_models import dovetail, stop_oscillator
+from small_models import dovetail, repeat_first_pair, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, floquet, frequency_response, integrate, solve
 
@@ -143,13 +143,7 @@ def test_where_it_is_not_looked_at(monkeypatch):
 
 def test_redundant_pairs_and_a_joint_at_rest_have_none():
     model = dovetail()
-    twice = replace(
-        model,
-        normal=np.vstack([model.normal, model.normal[:1]]),
-        tangential=np.vstack([model.tangential, model.tangential[:1]]),
-        pair_area=None,
-    )
-    assert solve(ContactProblem(twice, ContactLaws(friction=0.2), 481.0, 3)).multiplier == 0
+    assert solve(ContactProblem(repeat_first_pair(model), ContactLaws(friction=0.2), 481.0, 3)).multiplier == 0
     still = replace(model, load={0: model.load[0]})
     assert solve(ContactProblem(still, ContactLaws(friction=0.2), 0.0, 0)).multiplier == 0
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import PROBLEMS, dovetail, stop_oscillator
+from small_models import PROBLEMS, dovetail, repeat_first_pair, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
 from ewr_fenicsx.balance import HarmonicBalance
@@ -160,14 +160,7 @@ def test_the_summary_says_so_of_what_a_fallback_found(branches):
 def test_where_it_is_not_looked_at(branches, monkeypatch):
     bonded = ContactLaws("bonded", "frictionless")
     assert solve(replace(branches["upper"][0].problem, laws=bonded, harmonics=3)).side == 0
-    model = dovetail()
-    twice = replace(
-        model,
-        normal=np.vstack([model.normal, model.normal[:1]]),
-        tangential=np.vstack([model.tangential, model.tangential[:1]]),
-        pair_area=None,
-    )
-    redundant = solve(ContactProblem(twice, ContactLaws(friction=0.2), 481.0, 3))
+    redundant = solve(ContactProblem(repeat_first_pair(dovetail()), ContactLaws(friction=0.2), 481.0, 3))
     assert redundant.converged and redundant.side == 0, "rounding decides the sign"
     found = replace(branches["upper"][0])
     assert replace(found, converged=False).side == 0
