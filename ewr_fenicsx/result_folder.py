@@ -46,7 +46,7 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
         OutputError: As ``check_target``; or the temporary folder cannot be made, filled or moved.
     """
     check_target(folder, overwrite=overwrite, comm=comm)
-    folder = Path(folder).absolute()
+    folder = _follow_links(Path(folder))
     draft = do_with_files(lambda: _make_draft(folder), comm)
     try:
         with _name_failure(folder):
@@ -111,9 +111,10 @@ def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
                 f"result folder {folder} holds {foreign[0]!r}{f' and {len(foreign) - 1} more' if foreign[1:] else ''}, "
                 f"which {'this command does not write' if own else 'no run wrote'}; move it away, or give another --out"
             )
-    elif folder.exists() and not folder.is_dir():
+    place = _follow_links(folder)
+    if (place.exists() or place.is_symlink()) and not place.is_dir():
         raise OutputError(f"result folder {folder} is a file; give another --out")
-    ancestor = next(parent for parent in folder.absolute().parents if parent.exists())
+    ancestor = next(parent for parent in place.parents if parent.exists())
     try:
         with tempfile.TemporaryDirectory(dir=ancestor):
             pass
@@ -121,6 +122,11 @@ def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
         raise OutputError(
             f"result folder {folder} cannot be made: {ancestor}: {error.strerror}; give another --out"
         ) from None
+
+
+def _follow_links(folder: Path) -> Path:
+    """Where a folder is, or would be made: a link to it stays, and so do results on the disk that it leads to."""
+    return Path(os.path.realpath(folder))  # which, unlike resolve, has no quarrel with links that lead round
 
 
 def _find_foreign_files(folder: Path, own: Sequence[str]) -> set[str]:

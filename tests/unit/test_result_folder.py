@@ -65,3 +65,23 @@ def test_empty_folder_is_free(tmp_path):
     (tmp_path / "results").mkdir()
     write_run(tmp_path / "results", "1")
     assert (tmp_path / "results" / "value.txt").read_text() == "1"
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["to be made", "empty"])
+def test_a_link_to_another_disk_stays_a_link(tmp_path, begun):
+    disk, link = tmp_path / "disk", tmp_path / "home" / "results"
+    disk.mkdir()
+    link.parent.mkdir()
+    link.symlink_to(disk / "results")
+    if begun:
+        (disk / "results").mkdir()
+    for value in ("1", "2"):
+        write_run(link, value, overwrite=value == "2")
+        assert link.is_symlink() and (disk / "results" / "value.txt").read_text() == value
+    assert [path.name for path in (*disk.iterdir(), *link.parent.iterdir())] == ["results", "results"]
+
+
+def test_a_link_that_leads_nowhere_is_refused_before_any_work(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(OutputError, match=r"loop is a file; give another --out"):
+        check_target(tmp_path / "loop")
