@@ -145,9 +145,9 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     held = replace(
         model,
-        mass=symmetric(basis.T @ model.mass @ basis),
+        mass=symmetric(_project(model.mass, basis)),
         damping=basis.T @ model.damping @ basis,
-        stiffness=symmetric(_project_stiffness(model.stiffness, basis)),
+        stiffness=symmetric(_project(model.stiffness, basis)),
         normal=project(model.normal),
         tangential=project(model.tangential),
         load={h: basis.T @ f for h, f in model.load.items()},
@@ -157,11 +157,11 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
     return held, basis
 
 
-def _project_stiffness(stiffness: RealArray, basis: RealArray) -> RealArray:
-    """``basis^T K basis`` without its rounding, which would count as stiffness where a motion is free of any."""
-    forces, eps = np.abs(stiffness).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
+def _project(matrix: RealArray, basis: RealArray) -> RealArray:
+    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
+    forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
     reached = np.abs(basis).T @ forces + eps * forces.sum()
-    projected, rounding = basis.T @ stiffness @ basis, ROUNDINGS * len(stiffness) * eps * np.add.outer(reached, reached)
+    projected, rounding = basis.T @ matrix @ basis, ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
     return np.where(np.abs(projected) > rounding, projected, 0.0)
 
 

@@ -13,6 +13,7 @@ from ewr_fenicsx.errors import UnheldBody
 from ewr_fenicsx.given import RealArray
 
 _BALANCED = 1e-8  # unbalanced share of the mean load taken for zero
+_SEEN = 1e-9  # motion by rigid modes, over the largest of all rows, below which it is rounding
 _SIDES = 32  # of the polygon around the disk of friction forces in a plane; at its corners they are 0.5 % too large
 
 
@@ -52,7 +53,8 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
     arrays = (np.frombuffer(numbers).reshape(shape) for numbers, shape in packed)
     normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = arrays
     r = rigid_load.size
-    sees_all = np.linalg.matrix_rank(normal_motion, tol=1e-9 * np.abs(normal_motion).max(initial=1e-300)) == r
+    largest_motion = max(np.abs(normal_motion).max(initial=1e-300), np.abs(tangential_motion).max(initial=0.0))
+    sees_all = np.linalg.matrix_rank(normal_motion, tol=_SEEN * largest_motion) == r
     bounds = list(zip(smallest, largest, strict=True))
     nothing = 0 * friction
     if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
@@ -72,7 +74,7 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
         )
     rubs = (friction > 0) | (limit > 0)
     seen = np.vstack([normal_motion, *tangential_motion[:, rubs]])
-    if np.linalg.matrix_rank(seen, tol=1e-9 * np.abs(seen).max(initial=1e-300)) < r:
+    if np.linalg.matrix_rank(seen, tol=_SEEN * largest_motion) < r:
         free = np.linalg.svd(seen)[2][-1]
         raise UnheldBody(
             "a floating body can move without any contact noticing: its rigid motion is "

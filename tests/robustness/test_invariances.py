@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, transform_coordinates
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.solution import PeriodicSolution
 
 both = pytest.mark.parametrize("closure", ["dashpot", "spring"])
@@ -133,9 +133,24 @@ def test_a_motion_that_rounding_alone_moves_is_no_motion(degrees):
     """
     with pytest.raises(ModelError, match=r"1 rigid motions of floating bodies, but .* tell only 0 of them apart"):
         solve(ContactProblem(body_on_a_slide(degrees, held=False), ContactLaws(tangential="frictionless"), 0.2, 3))
+    with pytest.raises(UnheldBody, match="a floating body can move without any contact noticing"):
+        solve(ContactProblem(body_on_a_slide(degrees, held=False), ContactLaws(static_friction="zero"), 0.2, 3))
     solution = solve(ContactProblem(body_on_a_slide(degrees, held=True), ContactLaws(tangential="bonded"), 0.2, 3))
     np.testing.assert_allclose(solution.pair_forces["normal"][:, 0], [1.0, -0.1, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(solution.output("normal"), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 33, 45, 60, 77])
+def test_a_mass_that_bonds_leave_at_rest_is_none(degrees):
+    """What is left of a bonded mass is its massless companion on a spring, whichever way the axes are turned."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0]), damping=np.zeros((2, 2)), stiffness=np.diag([4.0, 5.0]), normal=[[1.0, 0.0]],
+        load={1: [1.0, 2.0]}, outputs={"companion": [0.0, 1.0]},
+    )  # fmt: skip
+    turn = np.radians(degrees)
+    turned = transform_coordinates(model, np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]))
+    solution = solve(ContactProblem(turned, ContactLaws("bonded", "frictionless"), 0.2, 1))
+    np.testing.assert_allclose(solution.output("companion"), [0.0, 0.4], atol=1e-12)
 
 
 def test_shift_between_samples_only_moves_the_sampling():
