@@ -165,8 +165,9 @@ def _correct(
         along, across = factors.solution, factors.solve(slope)
         # the point stays in the plane: tangent . (dz, ds) = 0
         onward = np.append(-across, 1.0) / np.hypot(np.linalg.norm(across), 1.0)
-        ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
-        dz = -along - ds * across
+        with np.errstate(divide="ignore", invalid="ignore"):  # no such step: the branch is at right angles to the last
+            ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
+            dz = -along - ds * across
         if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
             return None, None, taken + 1
         shrink = 1.0
