@@ -6,7 +6,8 @@ import numpy as np
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.solution import SECOND, PeriodicSolution
+from ewr_fenicsx.periodic_motion import SECOND
+from ewr_fenicsx.solution import PeriodicSolution
 
 OPEN, STICK, SLIP = 0, 1, 2
 

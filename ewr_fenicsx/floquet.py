@@ -20,11 +20,13 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
+from scipy import sparse
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis
+from ewr_fenicsx.stability import find_sign
 
 MOST_COORDINATES, MOST_UNKNOWNS = 40, 1500  # of a model and of Hill's determinant: a fraction of a second each
 STEPS = 512  # a period, at least
@@ -33,6 +35,7 @@ SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
 GUESSES, REFINEMENTS = 3, 12  # at most: of multipliers, and of the exponent of each
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
 SETTLED = 1e-8  # last change of an exponent over the angular frequency
+SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
 
 Slopes = Mapping[str, RealArray]  # variable -> (n_t, m, m) derivatives of all laws
@@ -67,6 +70,31 @@ def find_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -
     except np.linalg.LinAlgError:  # redundant pairs share their forces in any way
         return 0.0
     return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+
+
+def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
+    """Whether an odd number of real Floquet multipliers are above one: Hill's determinant is negative there.
+
+    The Jacobian of the balance tells as much where every force follows from the motion. Mean friction does not: what
+    sets it (``static_friction``) turns the sign where friction is strong enough to wedge, without any motion leaving.
+
+    Args:
+        system, forces, rigid: As in ``find_growth``.
+
+    Returns:
+        None where a law remembers.
+    """
+    slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
+    if slopes is None:
+        return None
+    top, omega = system.basis.orders[-1], system.compliance.omega
+    to_complex = np.zeros((2 * top + 1, 2 * top + 1), dtype=complex)  # from mean, cosines and sines
+    to_complex[top, top], h = 1.0, np.arange(1, top + 1)
+    to_complex[top + h, top + h] = to_complex[top - h, top + h] = np.sqrt(0.5)
+    to_complex[top + h, top - h], to_complex[top - h, top - h] = -1j * np.sqrt(0.5), 1j * np.sqrt(0.5)
+    transform = sparse.kron(to_complex, sparse.identity(system.rows.shape[0]), format="csr")
+    matrix = transform.conj().T @ hill_matrix(system, slopes)(SLOW * omega) @ transform
+    return find_sign(matrix.real) < 0
 
 
 def tell_where_to(alternates: bool, multiplier: complex) -> str:
@@ -134,13 +162,14 @@ def hill_matrix(system: ContactSystem, slopes: Slopes) -> Callable[[complex], Co
     top, m, samples = system.basis.orders[-1], rows.shape[0], len(slopes["force"])
     orders = np.arange(-top, top + 1)
     pick = np.subtract.outer(orders, orders) % samples
-    force, displacement, velocity = ((np.fft.fft(slopes[name], axis=0) / samples)[pick] for name in VARIABLES)
+    force, displacement, velocity = (np.fft.fft(slopes[name], axis=0) / samples for name in VARIABLES)
 
     def at(s: complex) -> ComplexArray:
-        z = (s + 1j * orders * system.compliance.omega)[:, None, None]
-        flexibility = rows @ np.linalg.solve(model.stiffness + z * model.damping + z**2 * model.mass, rows.T[None] + 0j)
-        matrix = force + np.matmul(displacement + velocity * z, flexibility)
-        return matrix.transpose(0, 2, 1, 3).reshape((orders.size * m,) * 2)
+        matrix = np.empty((orders.size, m, orders.size, m), dtype=complex)
+        for k, z in enumerate(s + 1j * orders * system.compliance.omega):
+            flexibility = rows @ np.linalg.solve(model.stiffness + z * model.damping + z**2 * model.mass, rows.T)
+            matrix[:, :, k] = force[pick[:, k]] + (displacement + z * velocity)[pick[:, k]] @ flexibility
+        return matrix.reshape((orders.size * m,) * 2)
 
     return at
 

@@ -106,7 +106,7 @@ class FrequencyResponse:
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
         near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        leaves = lambda s, near: s.alternates or s.multiplier != 0 or (near and s.side < 0)  # noqa: E731
+        leaves = lambda s, near: s.alternates or s.multiplier != 0 or (near and s.grows)  # noqa: E731
         return np.array([leaves(*point) for point in zip(self.solutions, near, strict=True)], dtype=bool)
 
     def output(self, name: str) -> ComplexArray:

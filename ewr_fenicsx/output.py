@@ -28,8 +28,9 @@ from ewr_fenicsx.gathering import node_interpolation
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.indicators import measure_sliding
 from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
 from ewr_fenicsx.result_folder import SUMMARY, do_with_files, read_summary, result_folder
-from ewr_fenicsx.solution import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicSolution
+from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.whole_files import write_table
 
 STEPS = 32  # instants of the period in the field files

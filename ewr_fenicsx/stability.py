@@ -39,9 +39,9 @@ def find_side(balance: HarmonicBalance, unknowns: RealArray) -> int:
         unknowns: Its solution, scaled, ``(size,)``.
 
     Returns:
-        -1: an odd number of real Floquet multipliers are above one, and the solution is unstable. 1: an even number of
-        them is, mostly none; it may be unstable in other ways. 0: there are too many unknowns to look, or the Jacobian
-        is singular.
+        -1: an odd number of real Floquet multipliers are above one, and the solution is unstable, or mean friction
+        wedges (``floquet.grows`` tells which). 1: an even number of them is, mostly none; it may be unstable in other
+        ways. 0: there are too many unknowns to look, or the Jacobian is singular.
     """
     if balance.size > MOST_UNKNOWNS:
         return 0

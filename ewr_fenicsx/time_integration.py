@@ -13,8 +13,9 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.periodic_motion import SECOND
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
-from ewr_fenicsx.solution import SECOND, PeriodicSolution
+from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
 _STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'

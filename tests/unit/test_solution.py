@@ -20,7 +20,8 @@ from ewr_fenicsx.indicators import (
     measure_sliding,
     measure_work,
 )
-from ewr_fenicsx.solution import COARSE_ENERGY, COARSE_TENSION, FINE, HISTORIES, PeriodicSolution
+from ewr_fenicsx.periodic_motion import HISTORIES
+from ewr_fenicsx.solution import COARSE_ENERGY, COARSE_TENSION, FINE, PeriodicSolution
 
 SAMPLES = 96
 

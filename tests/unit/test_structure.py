@@ -19,7 +19,7 @@ ORDER = [
     "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral",
     "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "coulomb", "contact_laws", "statics", "compliance",
     "closure", "layout", "contact_system", "contact_problem", "ignored", "law_derivatives", "elimination",
-    "newton_step", "balance", "inexact_step", "stability", "floquet", "walking", "indicators", "solution",
+    "newton_step", "balance", "inexact_step", "stability", "floquet", "walking", "indicators", "periodic_motion", "solution",
     "contact_state", "time_stepping", "periodicity", "time_integration", "symmetry", "continuation", "snes", "ladder",
     "warm_starts", "newton", "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store",
     "following", "refining", "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps",

@@ -34,6 +34,20 @@ def test_between_the_folds_solutions_are_unstable(branches):
     assert all(len(solutions) >= 5 for solutions in branches.values())
     for name, side in (("upper", 1), ("middle", -1), ("lower", 1)):
         assert {solution.side for solution in branches[name]} == {side}, name
+        assert {solution.grows for solution in branches[name]} == {side < 0}, name
+
+
+@pytest.mark.parametrize("closure", ["dashpot", "spring"])
+def test_friction_that_wedges_turns_the_sign_and_no_motion_leaves(closure):
+    """Mean friction is what turns it: no motion in time grows, and none is told to."""
+    model = dovetail(angle=50.0, excitation=200.0, seed=0, damping=2e-5)
+    found = solve(ContactProblem(model, ContactLaws(friction=2.0), 481.0, 3, closure=closure))
+    assert found.side == -1 and found.multiplier == 0
+    assert not found.grows and not found.unstable and "unstable" not in found.summary()
+    steady = integrate(found.problem, found, periods=100, tolerance=0)
+    for name in model.outputs:
+        assert abs(steady.output(name)[1]) == pytest.approx(abs(found.output(name)[1]), rel=0.03)
+    assert np.all(steady.changes[-5:] < 1e-3)
 
 
 def test_a_summary_says_so_however_it_was_found(branches):
