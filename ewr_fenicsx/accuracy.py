@@ -36,6 +36,7 @@ SAMPLES = 8  # a highest harmonic, to begin with
 MOST_SAMPLES = 512  # a highest harmonic
 MODES_GROWTH = 2  # of their number, where the modes left out matter most
 MOST_MODES = 240
+MOST_LOST = 2  # sets of harmonics in a row that no solution is found with, before the accuracy is given up
 IDLE = 0.02  # share of the accuracy asked for that does not matter, in forces of harmonics and in errors by samples
 
 MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
@@ -118,7 +119,7 @@ def solve_to_accuracy(
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
     From the second set of harmonics on springs close the truncation of Coulomb's law, as long as they find a solution.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
-    without, what was found before stays.
+    without, a larger set is tried once, and where it fails as well, what was found before stays.
 
     Args:
         problem: The problem; its own harmonics and samples are not used; a weight ``rho_tangential`` or springs that
@@ -162,6 +163,8 @@ def solve_to_accuracy(
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
     solution, estimate, limit, remedy, springs = start, None, "", AccurateSolution.remedy, True
+    lost: list[int] = []
+    most = int(highest)
     while not limit:
         posed = pose_level(problem, top, density, dropped, springs)
         chosen = posed.has_springs and not problem.has_springs
@@ -176,12 +179,18 @@ def solve_to_accuracy(
                 continue
             if not levels:
                 raise
-            limit = f"no solution found with harmonics up to {top}: {error.best.reason}"
+            lost.append(top)
+            further = min(int(np.ceil(GROWTH[0] * top)), most)
+            if len(lost) < MOST_LOST and further > top:
+                top, springs = further, True  # a single set may be in the way, with springs and dashpots alike
+                continue
+            sets = " or ".join(map(str, lost))
+            limit = f"no solution found with harmonics up to {sets}: {error.best.reason}"
             remedy = "ask for less, or solve with harmonics of your own, which takes every fallback"
             break
         tried += tuple(f"harmonics up to {top}: {rung}" for rung in found.fallbacks)
         found = replace(found, fallbacks=tried)
-        before, solution = solution if levels else None, found
+        before, solution, lost = solution if levels else None, found, []
         estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(
             Level(
@@ -210,7 +219,8 @@ def solve_to_accuracy(
             needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
             dropped |= set(posed.basis.orders) - needed
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
-            raised = min(raised, highest, top + room)
+            most = min(int(highest), top + room)
+            raised = min(raised, most)
             if raised <= top:
                 hit = f"harmonic {highest} is the highest allowed"
                 full = f"more harmonics than {top} take more than {most_unknowns} unknowns"
