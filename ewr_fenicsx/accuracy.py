@@ -296,15 +296,16 @@ def judge(
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 
     Where that change tells of more than the accuracy, no Newton step with more harmonics is needed to know. (Springs
-    leave far less than the change that they brought, which tells nothing of their error.) Harmonics and samples are
-    looked at together. Where they are above the accuracy they are raised whatever the other errors are: those wait.
-    Where more harmonics than at the level before have not halved them, the samples are looked at by themselves, unless
-    they did not matter at a level before: there are as many a harmonic.
+    leave far less than the change that they brought, which tells nothing of their error.) A last set cut short by a
+    limit has few new harmonics, which tell little of those to come: its change counts as after the least growth.
+    Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
+    errors are: those wait. Where more harmonics than at the level before have not halved them, the samples are looked
+    at by themselves, unless they did not matter at a level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
     closed_alike = before is not None and not any(holds_springs(s.problem) for s in (before, solution))
     if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
-        error = measure_distance(before, solution, figure) / (growth**RATE - 1)
+        error = measure_distance(before, solution, figure) / (max(growth, GROWTH[0]) ** RATE - 1)
     if error <= accuracy:
         error = max(error, estimate_together(solution, accuracy, figure))
     known = [level.estimate.samples for level in levels if level.estimate.samples < IDLE * accuracy]

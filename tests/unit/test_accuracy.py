@@ -163,6 +163,15 @@ def test_what_cannot_be_reached_is_said():
     assert "NOT as accurate as asked" in found.summary()
 
 
+def test_a_last_set_cut_short_by_a_limit_is_not_thought_worse_than_the_one_before():
+    """A slider under a load near its resonance: what harmonics 61 to 63 change tells little of those above."""
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.5)
+    found = solve_to_accuracy(ContactProblem(friction_oscillator(damping=0.02), laws, 0.17), 0.003)
+    before, last = found.levels[-2:]
+    assert before.orders[-1] < last.orders[-1] < 1.1 * before.orders[-1]
+    assert last.estimate.total < 1.5 * before.estimate.total
+
+
 def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
     """All later solves start at what it found."""
     rungs = ("growing harmonics: fell no further", "time stepping: residual below the tolerance")
