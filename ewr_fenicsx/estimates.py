@@ -4,7 +4,7 @@ The error is that of the outputs' oscillation over a period: the norm of the dif
 the outputs; phase counts. It is estimated by single Newton steps on a neighbouring problem:
 
 - *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer. Where springs
-  close the truncation, twice as many, with dashpots.
+  close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
@@ -24,8 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.compliance import find_normal_modes
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.inexact_step import solve_inexactly
 from ewr_fenicsx.reduced_model import ReducedModel
@@ -37,6 +39,9 @@ from ewr_fenicsx.warm_starts import carry_over
 LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
 LEAST_SAMPLES = 64
+RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
+MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
+RINGING_SAMPLES = 2.5  # a highest harmonic, at least
 MODES_DROPPED = 1 / 3
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
@@ -187,6 +192,39 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     return use_mobility(replace(problem, closure="dashpot")) if sprung else problem
 
 
+def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
+    """The problem with more harmonics, and up to which of them there are all: those that ring come on top."""
+    raised = raise_harmonics(solution.problem)
+    top, needed = raised.basis.orders[-1], leave_out_idle(raised, solution).basis.orders
+    odd = all(h % 2 for h in needed if h)
+    if ringing := [h for h in find_ringing(solution.problem, top) if h % 2 or not odd]:
+        samples = max(raised.basis.samples, choose_samples(max(ringing), RINGING_SAMPLES))
+        raised = replace(raised, harmonics=(*needed, *ringing), samples=samples)
+    return raised, top
+
+
+def find_ringing(problem: ContactProblem, top: int) -> list[int]:
+    """Harmonics above ``top`` at which the open joint resonates: what contact leaves there falls at no steady rate.
+
+    Those with the largest flexibility of any row over the number of the harmonic; none where modes do not uncouple the
+    model.
+    """
+    system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
+    modes = find_normal_modes(system.model)
+    if modes is None or orders.size < 3 or not len(system.rows):
+        return []
+    try:
+        gain = np.array([modes.gain(h * problem.omega) for h in orders])
+    except ModelError:  # one hits an undamped mode exactly: no step could have it
+        return []
+    flexibility = np.abs(gain @ (system.rows @ modes.shapes).T ** 2) / system.flexibility
+    largest = flexibility.max(axis=1)
+    here, below, above = largest[1:-1], largest[:-2], largest[2:]
+    peaks = np.flatnonzero((here >= np.maximum(below, above)) & (here > RINGING * np.minimum(below, above)))
+    first = peaks[np.argsort(-here[peaks] / orders[1:-1][peaks], kind="stable")][:MOST_RINGING]
+    return sorted(int(h) for h in orders[1:-1][first])
+
+
 def choose_samples(highest: int, density: float) -> int:
     """Samples a period, even: ``density`` a highest harmonic, and not too few for the low ones."""
     return 2 * int(np.ceil(max(LEAST_SAMPLES, density * highest) / 2))
@@ -194,7 +232,7 @@ def choose_samples(highest: int, density: float) -> int:
 
 def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None) -> float:
     """Error by the harmonics left out: one Newton step with half as many again."""
-    return step_towards(solution, raise_harmonics(solution.problem), figure)
+    return step_towards(solution, look_ahead(solution)[0], figure)
 
 
 def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
@@ -205,11 +243,11 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
     The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is
     returned.
     """
-    raised = raise_harmonics(solution.problem)
+    raised, top = look_ahead(solution)
     ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
     if ahead is None:
         return np.inf
-    seen = 1 - (solution.orders[-1] / max(1, raised.basis.orders[-1])) ** RATE
+    seen = 1 - (solution.orders[-1] / max(1, top)) ** RATE
     first = measure_step(solution, ahead, figure) / seen
     if first > CLEAR * accuracy:
         return first

@@ -67,6 +67,20 @@ def test_two_steps_on_all_knobs_at_once_are_within_a_factor_of_three(harmonics, 
         assert estimate_together(solution, accuracy) != one_step
 
 
+@pytest.mark.parametrize("harmonics", [5, 9])
+def test_a_harmonic_at_a_resonance_counts_however_far_off_it_is(harmonics):
+    """A slider with a light mass on it that resonates at the 17th: errors hardly fall before that one is there."""
+    mass, stiffness = np.diag([1.0, 0.02]), np.array([[4.0, -3.0], [-3.0, 3.0]])
+    top = np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).max())
+    model = ReducedModel(
+        mass, 5e-4 * stiffness, stiffness, tangential=[[1.0, 0.0]], load={1: [1.0, 0.0]}, outputs={"top": [0.0, 1.0]}
+    )
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.2)
+    solution = solve(ContactProblem(model, laws, top / (2 * np.pi * 17), harmonics))
+    true = measure_distance(solution, solve(replace(solution.problem, harmonics=151, samples=2048)))
+    assert true / 1.5 < estimate_together(solution, true) < 1.5 * true
+
+
 def slide_under_a_moving_load(rng: np.random.Generator) -> ContactProblem:
     """A chain of masses with any of its values, whose last one rubs under a normal force that moves."""
     n = int(rng.integers(1, 4))
