@@ -16,6 +16,7 @@ from ewr_fenicsx import (
     ContactProblem,
     PeriodicSolution,
     ReducedModel,
+    ladder,
     newton,
     snes,
     solve,
@@ -23,6 +24,7 @@ from ewr_fenicsx import (
 )
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.solution_store import restore, strip
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -169,14 +171,28 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so():
 
 
 def test_rounded_corners_are_begun_where_newton_stalled():
-    """One pair of seven grazes: Newton ends close to the solution, at a corner, in few steps."""
+    """One pair of seven grazes, and Newton ends close to the solution at a corner, or not: a matter of rounding.
+
+    From nearby, the corners are sharpened in fewer steps than from full stick; medians of twelve places nearby.
+    """
     case = hard_cases.Case("lap joint", 1 / 3, ("applied", 0.03), 1.0, 5, 1e-4, "random", (1, 1))
-    solution = solve(hard_cases.pose_case(case))
-    ways = dict(rung.split(": ", 1) for rung in solution.fallbacks)
-    assert ways["growing harmonics"] == "the line search found no decrease"
-    assert ways["time stepping"] == "not needed: what was found is close"
-    assert ways["rounded corners"].endswith("residual below the tolerance")
-    assert solution.iterations <= 80
+    problem = hard_cases.pose_case(case)
+    assert solve(problem).residual <= 1e-8
+    balance = HarmonicBalance(problem.system)
+    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS).unknowns
+    rng, steps = np.random.default_rng(1), []
+    for _ in range(12):
+        nearby = found + 1e-6 * rng.standard_normal(balance.size) / np.sqrt(balance.size)
+        residual = float(np.linalg.norm(balance.residual(nearby)))
+        sharpened = [
+            ladder.sharpen_corners(balance, 1e-8, Attempt(nearby, known, 0, "stalled", converged=False))
+            for known in (residual, np.inf)
+        ]
+        assert all(attempt.converged for attempt in sharpened)
+        np.testing.assert_allclose(sharpened[0].unknowns, sharpened[1].unknowns, atol=1e-5)
+        steps.append([attempt.iterations for attempt in sharpened])
+    near, from_full_stick = np.median(steps, axis=0)
+    assert near < 0.8 * from_full_stick
 
 
 def test_without_a_compiler_the_ladder_goes_on(monkeypatch):
