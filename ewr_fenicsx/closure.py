@@ -6,6 +6,7 @@ dynamic flexibility there tells which, and how soft the springs are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -32,13 +33,12 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
     return np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0)
 
 
-def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: tuple[int, ...]) -> ComplexArray:
+def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: Sequence[int]) -> ComplexArray:
     """``(n_h, m)`` flexibility of each contact row by itself at harmonics of ``omega``, the diagonal of H [m/N]."""
     modes = find_normal_modes(model)
     if modes is None:
         return np.array([np.diagonal(receptance(model, h * omega, rows, rows.T)) for h in orders])
-    seen = (rows @ modes.shapes) ** 2
-    return np.array([seen @ modes.gain(h * omega) for h in orders])
+    return modes.gain(np.asarray(orders) * omega) @ (rows @ modes.shapes).T ** 2
 
 
 def list_beyond(highest: int) -> tuple[int, ...]:

@@ -153,16 +153,20 @@ class NormalModes:
     mass: RealArray
     damping: RealArray
 
-    def gain(self, omega: float) -> ComplexArray:
-        """``(n,)`` response of each mode to a unit of its force; none of rigid modes at zero frequency.
+    def gain(self, omega: float | RealArray) -> ComplexArray:
+        """``(n,)`` response of each mode to a unit of its force, ``(k, n)`` at ``k`` frequencies [rad/s].
+
+        Rigid modes have none at zero frequency.
 
         Raises:
-            ModelError: The frequency hits an undamped mode exactly.
+            ModelError: A frequency hits an undamped mode exactly.
         """
+        omega = np.asarray(omega, dtype=float)[..., None]
         impedance = self.stiffness - omega**2 * self.mass + 1j * omega * self.damping
         responds = impedance != 0
-        if omega and not np.all(responds):
-            raise ModelError(f"{omega / 2 / np.pi:g} Hz hits an undamped mode exactly; give the model some damping")
+        if np.any(hit := ~responds & (omega != 0)):
+            frequency = np.broadcast_to(omega, hit.shape)[hit][0] / (2 * np.pi)
+            raise ModelError(f"{frequency:g} Hz hits an undamped mode exactly; give the model some damping")
         return np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
 
 

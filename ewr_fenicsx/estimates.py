@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.closure import measure_beyond
 from ewr_fenicsx.compliance import find_normal_modes
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
@@ -210,14 +211,12 @@ def find_ringing(problem: ContactProblem, top: int) -> list[int]:
     model.
     """
     system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
-    modes = find_normal_modes(system.model)
-    if modes is None or orders.size < 3 or not len(system.rows):
+    if orders.size < 3 or not len(system.rows) or find_normal_modes(system.model) is None:
         return []
     try:
-        gain = np.array([modes.gain(h * problem.omega) for h in orders])
+        flexibility = np.abs(measure_beyond(system.model, system.rows, problem.omega, orders)) / system.flexibility
     except ModelError:  # one hits an undamped mode exactly: no step could have it
         return []
-    flexibility = np.abs(gain @ (system.rows @ modes.shapes).T ** 2) / system.flexibility
     largest = flexibility.max(axis=1)
     here, below, above = largest[1:-1], largest[:-2], largest[2:]
     peaks = np.flatnonzero((here >= np.maximum(below, above)) & (here > RINGING * np.minimum(below, above)))
