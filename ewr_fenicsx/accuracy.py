@@ -13,6 +13,7 @@ from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
+    CLEAR,
     RATE,
     ErrorEstimate,
     Figure,
@@ -299,8 +300,9 @@ def judge(
     leave far less than the change that they brought, which tells nothing of their error.) A last set cut short by a
     limit has few new harmonics, which tell little of those to come: its change counts as after the least growth.
     Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
-    errors are: those wait. Where more harmonics than at the level before have not halved them, the samples are looked
-    at by themselves, unless they did not matter at a level before: there are as many a harmonic.
+    errors are: those wait. Where they are far below it, the weight need not be looked at. Where more harmonics than at
+    the level before have not halved them, the samples are looked at by themselves, unless they did not matter at a
+    level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
     closed_alike = before is not None and not any(holds_springs(s.problem) for s in (before, solution))
@@ -313,8 +315,9 @@ def judge(
         samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
+    weight = estimate_weight(solution, figure) if CLEAR * error >= accuracy else np.nan
     error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan
-    return ErrorEstimate(error, np.nan, estimate_weight(solution, figure), error_of_modes)
+    return ErrorEstimate(error, np.nan, weight, error_of_modes)
 
 
 def raise_modes(count: int, most: int) -> int:

@@ -47,7 +47,7 @@ MODES_DROPPED = 1 / 3
 RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
-CLEAR = 4.0  # one step's estimate over the accuracy, above which no second one is needed
+CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
 
 
 Figure = Callable[[PeriodicSolution], RealArray]
@@ -237,8 +237,9 @@ def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None)
 def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
-    Where one Newton step tells of far more than the accuracy, that is all. Else a second one on the same problem
-    follows: it is mostly closer to the true error, and half of what it changed is added for what further steps would.
+    Where one Newton step tells of far more than the accuracy, or far less, that is all. Else a second one on the same
+    problem follows: it is mostly closer to the true error, and half of what it changed is added for what further steps
+    would.
     The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is
     returned.
     """
@@ -248,7 +249,7 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
         return np.inf
     seen = 1 - (solution.orders[-1] / max(1, top)) ** RATE
     first = measure_step(solution, ahead, figure) / seen
-    if first > CLEAR * accuracy:
+    if first > CLEAR * accuracy or CLEAR * first < accuracy:
         return first
     second = measure_step(solution, take_step(ahead, ahead.problem), figure) / seen
     return second + abs(second - first) / 2
