@@ -17,7 +17,6 @@ from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
-    COARSE_STEPS,
     FINE_LEVELS,
     LARGEST_TRACED,
     climb,
@@ -298,7 +297,7 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    last = go_on_from(solution, balance, tolerance, linear_solver, COARSE_STEPS)
+    last = go_on_from(solution, balance, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations)
     joined = not problem.has_springs and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
     if joined and not last.converged:

@@ -65,7 +65,7 @@ def run_newton(
         start: Scaled unknowns.
         tolerance: Residual norm accepted.
         linear_solver: As in ``solve``.
-        limit: Newton steps allowed a run, in place of ``MAX_STEPS``.
+        limit: Newton steps allowed a run, where these are fewer than ``MAX_STEPS`` or an option.
         near: Whether the start is a neighbour's solution: no step is shortened by a shift.
     """
     norm = np.linalg.norm(balance.residual(start))
@@ -123,7 +123,7 @@ class _Newton:
         self.snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
         self.snes.setFromOptions()
         if self.limit is not None:
-            self.snes.setTolerances(max_it=self.limit)
+            self.snes.setTolerances(max_it=min(self.limit, self.snes.getTolerances()[3]))
         self.x.array[:] = start
         self.snes.solve(None, self.x)
         code, steps = self.snes.getConvergedReason(), self.snes.getIterationNumber()

@@ -13,6 +13,7 @@ from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
+WARM_STEPS = 40  # Newton steps a run: those that lead anywhere take fewer, nearly all
 
 
 def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[ComplexArray, ComplexArray, RealArray]:
@@ -36,16 +37,12 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
 
 
 def go_on_from(
-    start: PeriodicSolution,
-    balance: HarmonicBalance,
-    tolerance: float,
-    linear_solver: LinearSolver,
-    limit: int | None = None,
+    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Newton from the solution of another problem on the same model; ``limit``: as in ``run_newton``."""
+    """Newton from the solution of another problem on the same model, given up where that takes many steps."""
     attempts, steps = [], 0
     for unknowns, near, taken in list_starts(start, balance, tolerance):
-        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
+        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, WARM_STEPS, near=near))
         steps += attempts[-1].iterations + taken
         if attempts[-1].converged:
             break
