@@ -111,11 +111,13 @@ def test_solutions_meet_the_tolerance_asked_for():
 def test_the_number_of_steps_is_petscs_to_limit(petsc_options):
     """Of each Newton run: too few send the solver to its fallbacks, or leave it without a solution."""
     problem = PROBLEMS["floating, slip"]
-    plain = solve(problem)
-    assert plain.iterations > 3 and plain.fallbacks == ()
+    assert (plain := solve(problem)).iterations > 3 and plain.fallbacks == ()
     petsc_options(snes_max_it=2)
     limited = solve(problem, raise_on_failure=False)
     assert limited.fallbacks or not limited.converged
+    petsc_options(snes_max_it=1)  # also of runs that the package limits itself: the firm one, and two of the balance
+    balance = HarmonicBalance(problem.system)
+    assert run_newton(balance, balance.pack(*balance.full_stick), 1e-9, "elimination", limit=40).iterations <= 3
 
 
 def test_convergence_is_the_residual_at_the_end_and_nothing_else():

@@ -10,7 +10,7 @@ from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.warm_starts import carry_over, list_starts
 
@@ -107,3 +107,16 @@ def test_a_near_start_that_fails_is_tried_with_shortened_steps(monkeypatch):
     tried.clear()
     found = solve(replace(SLIPS, harmonics=9), start)
     assert tried == [True, False] and found.converged and found.fallbacks == ()
+
+
+def test_a_warm_start_that_takes_many_steps_is_given_up(monkeypatch):
+    """Those that lead anywhere take few; a cold climb, or a smaller change, is the better way then."""
+    start, further = solve(SLIPS), replace(SLIPS, frequency=1.05 * SLIPS.frequency)
+    usual = solve(further, start)
+    assert usual.iterations > 3 and usual.fallbacks == ()
+    monkeypatch.setattr("ewr_fenicsx.warm_starts.WARM_STEPS", 1)
+    found = solve(further, start)
+    assert found.fallbacks[0] == "given start: too many Newton steps"
+    np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())
+    with pytest.raises(NotConverged, match="too many Newton steps"):
+        solve(further, start, fallbacks=False)
