@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from ewr_fenicsx.contact_problem import ContactProblem
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
     from ewr_fenicsx.wear import WearHistory
+
+FEW = 5  # frequencies or cycles that are told one by one
 
 
 def word_remedy(found: AccurateSolution) -> AccurateSolution:
@@ -42,7 +45,7 @@ def tell_sweep(curve: FrequencyResponse, problem: ContactProblem) -> list[str]:
     lines += [f"  {lost} of them are unstable: no motion in time stays there"] if lost else []
     usual = count_default_weights(curve, problem)
     lines += [f"  {usual} of them hold with the default weights and closure: those given led nowhere"] if usual else []
-    lines += [f"  no solution at {frequency:g} Hz" for frequency in curve.missing]
+    lines += [f"  no solution at {list_few(curve.missing, 'frequencies')} Hz"] if curve.missing else []
     return lines + [f"  jump from {j.frequency[0]:g} to {j.frequency[1]:g} Hz: {j.why}" for j in curve.jumps]
 
 
@@ -55,12 +58,22 @@ def _tell_accuracy(curve: FrequencyResponse) -> list[str]:
         f"  estimated errors up to {worst:.1g} of {asked:g} asked, highest harmonics {min(tops)} to {max(tops)}, "
         f"{solves} solves besides those of the curve"
     ]
+    reasons: dict[str, list[AccurateSolution]] = {}
     for found in curve.accurate:
         if not found.reached:
-            frequency = found.solution.problem.frequency
-            why = f"{found.estimate.total:.1g}; {found.limit}; {found.remedy}"
-            lines.append(f"  NOT as accurate as asked at {frequency:g} Hz: {why}")
+            reasons.setdefault(f"{found.limit}; {found.remedy}", []).append(found)
+    for why, short in reasons.items():
+        where = list_few([found.solution.problem.frequency for found in short], "solutions")
+        error = max(found.estimate.total for found in short)
+        lines.append(f"  NOT as accurate as asked at {where} Hz: up to {error:.1g}; {why}")
     return lines
+
+
+def list_few(values: Sequence[float], what: str) -> str:
+    """Values in ascending order; of many, how many there are and between which."""
+    if len(values) > FEW:
+        return f"{len(values)} {what} from {min(values):g} to {max(values):g}"
+    return ", ".join(f"{value:g}" for value in sorted(values))
 
 
 def count_default_weights(curve: FrequencyResponse, problem: ContactProblem) -> int:
@@ -106,7 +119,7 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
             f"{min(tops)} to {max(tops)}, {modes} modes"
         )
         short = history.cycles[history.estimates > history.accuracy]
-        lines += [f"  NOT as accurate as asked after {', '.join(map(str, short))} cycles"] if short.size else []
+        lines += [f"  NOT as accurate as asked after {list_few(short, 'numbers of')} cycles"] if short.size else []
     lines += [f"  stopped {history.stopped}"] if history.stopped else []
     if history.depth[-1].max() > through:
         lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")

@@ -1,0 +1,36 @@
+"""What is said of a study, for people: as much as there are reasons, however many points they hold for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import lift_off_oscillator
+
+from ewr_fenicsx import ContactLaws, findings, frequency_response
+
+
+@pytest.mark.parametrize("count, told", [(2, "0.1, 0.2"), (9, "9 solutions from 0.1 to 0.9")])
+def test_points_that_fall_short_for_the_same_reason_share_a_line(count, told):
+    """Few are named, many are counted; another reason is another line; the worst estimate stands for all."""
+    model, laws = lift_off_oscillator(excitation=0.6, damping=0.1), ContactLaws(friction=0.3)
+    curve = frequency_response(model, laws, 0.1 * np.arange(1, 11), 3, progress=False, accuracy=0.5)
+    assert all(found.reached for found in curve.accurate)
+    lines = findings.tell_sweep(curve, curve.solutions[0].problem)
+    assert not any("NOT as accurate" in line for line in lines)
+    worst = max(found.estimate.total for found in curve.accurate[:count])
+    limits = ["harmonic 9 is the highest allowed"] * count + [""] * (9 - count) + ["the modes are too few"]
+    accurate = [replace(f, reached=not limit, limit=limit) for f, limit in zip(curve.accurate, limits, strict=True)]
+    lines = findings.tell_sweep(replace(curve, accurate=tuple(accurate)), curve.solutions[0].problem)
+    short = [line for line in lines if "NOT as accurate" in line]
+    assert len(short) == 2
+    assert f"at {told} Hz: up to {worst:.1g}; harmonic 9 is the highest allowed; allow more" in short[0]
+    assert "at 1 Hz: up to" in short[1] and "the modes are too few" in short[1]
+
+
+def test_frequencies_without_a_solution_share_a_line():
+    curve = frequency_response(lift_off_oscillator(), ContactLaws(friction=0.3), [0.1], 1, progress=False)
+    for missing, told in (((0.4, 0.3), "0.3, 0.4"), (np.arange(2.0, 9.0), "7 frequencies from 2 to 8")):
+        lines = findings.tell_sweep(replace(curve, missing=tuple(missing)), curve.solutions[0].problem)
+        assert f"  no solution at {told} Hz" in lines
