@@ -296,7 +296,8 @@ def refine_response(
     """
     found = refine_points(problem, curve.solutions, accuracy, tolerance, modes=modes, comm=comm, progress=progress)
     found, jumps = join_points(curve.solutions, found, frequencies, tolerance)
-    return FrequencyResponse(tuple(f.solution for f in found), (*curve.jumps, *jumps), curve.missing, tuple(found))
+    jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
+    return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), curve.missing, tuple(found))
 
 
 def _solve_block(follower: Follower, block: Block, store: BlockStore | None) -> tuple[list[Record], list[Jump]]:

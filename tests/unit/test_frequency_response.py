@@ -305,6 +305,16 @@ def test_breaks_of_a_curve_are_where_its_jumps_are():
     assert breaks((3.7, 5.0)) == (5,), "from a point between given frequencies, which is not kept"
 
 
+def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
+    """As with more modes; a jump told twice would break the curve at a second place."""
+    curve, jump = sweep(accuracy=0.1), Jump((0.1, 0.2), "with more harmonics")
+    monkeypatch.setattr(frequency_sweep, "join_points", lambda points, found, *_: (found, [jump]))
+    problem = curve.solutions[0].problem
+    for _ in range(2):
+        curve = frequency_sweep.refine_response(curve, problem, curve.frequencies, 0.1)
+        assert curve.jumps == (jump,)
+
+
 def test_accurate_curves_are_kept_in_files(tmp_path):
     """Forces of solutions with different harmonics in one array; each has its own rows."""
     curve = sweep(accuracy=0.02, folder=tmp_path)
