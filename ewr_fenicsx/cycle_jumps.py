@@ -26,7 +26,7 @@ from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearState, WearStep
 
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
-GROWTH = 4.0  # of one jump over the one before, at most
+GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
 CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
 DEPTH_OF_ROUNDING = 1e-6  # of the depth to which the load presses contact in: wear below it is none
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
@@ -124,7 +124,7 @@ class WearRun:
                 f"one cycle wears more than contact can follow (stable up to {limit:.2g} cycles): the two time scales "
                 "are one here; lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)",
             )
-        solves, length = 0, 1
+        solves, length, growth = 0, 1, GROWTH
         if self.jump:
             cap = np.inf if self.jump.damped else SAFETY * limit
             length = int(max(1, min(state.jump, cap, self.cycles - here.cycle)))
@@ -132,12 +132,12 @@ class WearRun:
             solves += 1
             try:
                 if length == 1 and limit >= 1:
-                    ahead, room = self._solve(here, state.earlier, here.depth + here.rate, 1), np.inf
+                    ahead, room = self._solve(here, state.earlier, here.depth + here.rate, 1, fallbacks=True), np.inf
                     break
                 trial, worn, room = self._try_jump(state, length, decay)
                 if room >= 1 or length == 1:
                     solves += 1
-                    ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0)
+                    ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0, fallbacks=length == 1)
                     break
                 length = max(1, int(min(0.5, SAFETY * np.sqrt(room)) * length))
             except (NotConverged, UnheldBody) as failure:
@@ -145,10 +145,10 @@ class WearRun:
                     unheld = isinstance(failure, UnheldBody)
                     why = f"the joint no longer carries its load: {failure}" if unheld else str(failure)
                     return self._stop(replace(state, solves=state.solves + solves), why)
-                length = max(1, length // 4)
+                length, growth = max(1, length // 4), 1.0
         following = 1
         if self.jump:
-            free = min(GROWTH, SAFETY * np.sqrt(room))
+            free = min(growth, SAFETY * np.sqrt(room))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
         return self._keep(replace(state, jump=following, solves=state.solves + solves), ahead)
 
@@ -161,7 +161,8 @@ class WearRun:
         here, one = state.latest, np.eye(len(decay))
         damping = one + (GAMMA if self.jump.damped else 0.0) * length * decay
         first = np.linalg.solve(damping, here.rate)
-        trial = self._solve(here, state.earlier, np.maximum(here.depth + length * first, 0.0), length)
+        depth = np.maximum(here.depth + length * first, 0.0)
+        trial = self._solve(here, state.earlier, depth, length, fallbacks=length == 1)
         second = np.linalg.solve(damping, trial.rate - 2 * first)
         error, allowed = 0.5 * length * float(np.abs(first + second).max()), self._allowed(here, length, decay)
         if error > allowed:
@@ -206,11 +207,16 @@ class WearRun:
         mean = np.abs(HarmonicBalance(system).full_stick[0][0, rows].real) if system.basis.has_mean else 0.0
         return float(np.max(mean * system.flexibility[rows]))
 
-    def _solve(self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int) -> WearStep:
+    def _solve(
+        self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int, *, fallbacks: bool
+    ) -> WearStep:
+        """The step so many cycles later with a worn depth; without ``fallbacks`` a shorter jump is the remedy."""
         problem = replace(latest.solution.problem, wear=depth)
         ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
         before = earlier.solution if earlier else None
         solution = solve_from(problem, latest.solution, before, ratio, self.tolerance)
+        if not solution.converged and not fallbacks:
+            raise NotConverged(f"no solution {length} cycles on: {solution.reason}", best=solution)
         if not solution.converged:
-            solution = solve(problem, start=latest.solution, tolerance=self.tolerance)
+            solution = solve(problem, latest.solution, self.tolerance)
         return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)

@@ -125,3 +125,40 @@ def test_what_an_accuracy_of_wear_cannot_mean():
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, figure=print)
     with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, file="wear.h5", more_modes=print)
+
+
+def test_a_jump_without_a_near_solution_is_shortened_and_does_not_grow_at_once(monkeypatch):
+    """The ladder takes far longer than a shorter jump, which is a nearer start."""
+    follow, solve_cold, lost, given = cycle_jumps.solve_from, cycle_jumps.solve, [], []
+
+    def lose_long_jumps(problem, latest, earlier, ratio, tolerance):
+        lost.append(np.abs(problem.wear - latest.problem.wear).max() > reach)
+        found = follow(problem, latest, earlier, ratio, tolerance)
+        return replace(found, converged=False, reason="lost") if lost[-1] else found
+
+    def solve(problem, start=None, tolerance=1e-8):
+        given.append(start)
+        return solve_cold(problem, start, tolerance)
+
+    free = evolve_wear(pose(), 60, WEAR, Tolerance(share=0.2))
+    reach = 6 * free.steps[0].rate.max()
+    monkeypatch.setattr(cycle_jumps, "solve_from", lose_long_jumps)
+    monkeypatch.setattr(cycle_jumps, "solve", solve)
+    held = evolve_wear(pose(), 60, WEAR, Tolerance(share=0.2))
+    assert given == [None], "the first solve, and no other"
+    assert np.diff(free.cycles).max() > 6 >= np.diff(held.cycles).max() > 1 and held.cycles[-1] == 60
+    assert 0 < sum(lost) <= len(held.steps) / 2 + 1, "the step after a shortened one is as short"
+    np.testing.assert_allclose(held.depth[-1], free.depth[-1], rtol=0.1)
+
+
+def test_a_single_cycle_takes_every_fallback(monkeypatch):
+    """No shorter jump can replace it."""
+    follow = cycle_jumps.solve_from
+    usual = evolve_wear(pose(), 3, WEAR)
+    monkeypatch.setattr(
+        cycle_jumps, "solve_from", lambda *given: replace(follow(*given), converged=False, reason="lost")
+    )
+    for jump in (None, Tolerance(first=1)):
+        lost = evolve_wear(pose(), 3, WEAR, jump)
+        assert lost.stopped is None and lost.cycles[-1] == 3
+        np.testing.assert_allclose(lost.depth[-1], usual.depth[-1], rtol=1e-6)
