@@ -215,8 +215,8 @@ class WearRun:
         ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
         before = earlier.solution if earlier else None
         solution = solve_from(problem, latest.solution, before, ratio, self.tolerance)
-        if not solution.converged and not fallbacks:
-            raise NotConverged(f"no solution {length} cycles on: {solution.reason}", best=solution)
         if not solution.converged:
+            if not fallbacks:
+                raise NotConverged(f"no solution near that before the jump: {solution.reason}", best=solution)
             solution = solve(problem, latest.solution, self.tolerance)
         return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)

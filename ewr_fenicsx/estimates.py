@@ -196,9 +196,12 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
 def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
     """The problem with more harmonics, and up to which of them there are all: those that ring come on top."""
     raised = raise_harmonics(solution.problem)
-    top, needed = raised.basis.orders[-1], leave_out_idle(raised, solution).basis.orders
-    odd = all(h % 2 for h in needed if h)
-    if ringing := [h for h in find_ringing(solution.problem, top) if h % 2 or not odd]:
+    top = raised.basis.orders[-1]
+    if ringing := find_ringing(solution.problem, top):
+        needed = leave_out_idle(raised, solution).basis.orders
+        odd = all(h % 2 for h in needed if h)
+        ringing = [h for h in ringing if h % 2 or not odd]
+    if ringing:
         samples = max(raised.basis.samples, choose_samples(max(ringing), RINGING_SAMPLES))
         raised = replace(raised, harmonics=(*needed, *ringing), samples=samples)
     return raised, top
@@ -239,9 +242,8 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
 
     Where one Newton step tells of far more than the accuracy, or far less, that is all. Else a second one on the same
     problem follows: it is mostly closer to the true error, and half of what it changed is added for what further steps
-    would.
-    The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its whole is
-    returned.
+    would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its
+    whole is returned.
     """
     raised, top = look_ahead(solution)
     ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
