@@ -184,11 +184,13 @@ def test_rounded_corners_are_begun_where_newton_stalled():
     for _ in range(12):
         nearby = found + 1e-6 * rng.standard_normal(balance.size) / np.sqrt(balance.size)
         residual = float(np.linalg.norm(balance.residual(nearby)))
+        stalled = Attempt(nearby, residual, 0, "stalled", converged=False)
+        stepped = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", stalled)
+        assert stepped.reason == "not needed: what was found is close" and stepped.iterations == 0
         sharpened = [
-            ladder.sharpen_corners(balance, 1e-8, Attempt(nearby, known, 0, "stalled", converged=False))
-            for known in (residual, np.inf)
+            ladder.sharpen_corners(balance, 1e-8, replace(stalled, residual=known)) for known in (residual, np.inf)
         ]
-        assert all(attempt.converged for attempt in sharpened)
+        assert all(a.converged and a.reason.endswith("residual below the tolerance") for a in sharpened)
         np.testing.assert_allclose(sharpened[0].unknowns, sharpened[1].unknowns, atol=1e-5)
         steps.append([attempt.iterations for attempt in sharpened])
     near, from_full_stick = np.median(steps, axis=0)
