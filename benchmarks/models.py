@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from small_models import dovetail  # noqa: E402
 
-__all__ = ["blade_root", "damp", "dovetail", "find_first_mode", "lap_joint", "two_trusses"]
+__all__ = ["blade_root", "damp", "dovetail", "find_first_mode", "lap_joint", "two_blocks", "two_trusses"]
 
 
 @lru_cache(maxsize=8)
@@ -34,6 +34,14 @@ def blade_root(pairs: int = 10) -> ReducedModel:
         geometry = scene.geometry.model_copy(update={"parameters": {**scene.geometry.parameters, "pairs": pairs}})
         scene = scene.model_copy(update={"geometry": geometry})
     return build_reduced_model(scene)
+
+
+@lru_cache(maxsize=1)
+def two_blocks() -> ReducedModel:
+    """The demo's block that is pressed on another one and shaken sideways: it rocks, and shaken hard it jumps."""
+    from ewr_fenicsx import build_reduced_model, load_scene
+
+    return build_reduced_model(load_scene(ROOT / "demos" / "two_blocks.toml"))
 
 
 def lap_joint(*, pairs: int = 7, preload: float = 700.0, excitation: complex = 5.0) -> ReducedModel:

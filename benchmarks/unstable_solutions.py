@@ -2,7 +2,8 @@
 
     .venv/bin/python benchmarks/unstable_solutions.py                  ten minutes
 
-Cases: the sample of `hard_cases.py` with default weights, from five harmonics on, where some pair slips or lifts off.
+Cases: the sample of `hard_cases.py` with default weights, from five harmonics on, where some pair slips or lifts off;
+and as many of two blocks from a mesh, of which one jumps.
 Each solution is stepped for 100 periods from itself. A motion has left when its last periods
 are no repetition, or when the rms of an output is off by more than a tenth, which few harmonics may do as well.
 """
@@ -17,11 +18,13 @@ from pathlib import Path
 import numpy as np
 from accuracy_honesty import limit_work
 from hard_cases import MODELS, CapReached, draw_cases, pose_case
+from models import two_blocks
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import integrate, solve
 from ewr_fenicsx.errors import NotConverged
 
+MODELS |= {"two blocks": two_blocks}
 LEAST, STEPS, PERIODS, THETA = 5, 400, 100, 0.52
 LEFT, REPEATS = 0.1, 0.03  # relative change of an output's rms; change from period to period
 

@@ -7,7 +7,7 @@ over pairs, H (the compliance) is block-diagonal over harmonics.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, partial
 from reprlib import repr as shorten
 from typing import get_args
@@ -149,13 +149,16 @@ class HarmonicBalance:
     def sample(self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis | None = None) -> list[Motion]:
         """What each law sees over one period under force and motion amplitudes ``(n_h, m)``, for all laws in turn."""
         basis = basis or self.basis
-        signals = self.signals(forces, motion, basis)
+        return self.observe(self.signals(forces, motion, basis), basis.samples)
+
+    def observe(self, signals: Mapping[Variable, Callable[[], RealArray]], samples: int) -> list[Motion]:
+        """What each law sees of signals, variable -> what computes it at all rows over one period ``(samples, m)``."""
         seen = []
         for law in self.system.laws:
             columns = {d: rows[law.pairs] for d, rows in self.system.index.items() if np.all(rows[law.pairs] >= 0)}
             variables = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
             if "normal" not in columns:
-                given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, basis.samples))
+                given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, samples))
                 variables["force"] = Signal(signals["force"], columns, {"normal": given})
             seen.append(Motion(**variables))
         return seen
@@ -189,17 +192,21 @@ class HarmonicBalance:
                 linearised one.
         """
         forces, rigid, caused, responses = self._respond(unknowns, motion)
-        derivatives, residuals = [], []
+        residual = self._project(forces, rigid, [response.residual for response in responses])
+        step = NewtonStep(self, self.differentiate(responses), residual)
+        if motion is not None:
+            step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
+        return step
+
+    def differentiate(self, responses: Sequence[Response]) -> tuple[Derivative, ...]:
+        """Derivatives of all laws by what is unknown, from their responses."""
+        derivatives = []
         for law, rows, response in zip(self.system.laws, self.law_rows, responses, strict=True):
-            residuals.append(response.residual)
             for variable, direction, values, since in response.partials:
                 columns = self.system.row_of(direction, law.pairs)
                 if np.all(columns >= 0):  # else it is given, not unknown
                     derivatives.append(Derivative(rows, columns, variable, values, since))
-        step = NewtonStep(self, tuple(derivatives), self._project(forces, rigid, residuals))
-        if motion is not None:
-            step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
-        return step
+        return tuple(derivatives)
 
     def _respond(
         self, unknowns: RealArray, motion: ComplexArray | None = None

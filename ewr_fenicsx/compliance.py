@@ -172,7 +172,21 @@ class NormalModes:
 
 @lru_cache(maxsize=8)
 def find_normal_modes(model: ReducedModel) -> NormalModes | None:
-    """All modes of the model, or None where they do not uncouple it: damping not proportional.
+    """All modes of the model, or None where they do not uncouple it: damping not proportional."""
+    modes = find_undamped_modes(model)
+    if modes is None:
+        return None
+    shapes, own = modes.shapes, modes.damping
+    damping = shapes.T @ model.damping @ shapes
+    rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(model.damping) @ np.abs(shapes))
+    coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
+    np.fill_diagonal(coupling, 0.0)
+    return None if np.any(coupling > 0) else modes
+
+
+@lru_cache(maxsize=8)
+def find_undamped_modes(model: ReducedModel) -> NormalModes | None:
+    """All modes of the model, whether damping couples them or not, or None where its stiffness is not positive.
 
     Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
     their digits, whatever the highest frequency of the model.
@@ -188,12 +202,7 @@ def find_normal_modes(model: ReducedModel) -> NormalModes | None:
     shapes *= scale[:, None]
     stiffness = 1 - shift * mass
     stiffness[model.size - model.rigid_modes.shape[1] :] = 0.0  # ascending in mass: the rigid modes come last
-    damping = shapes.T @ model.damping @ shapes
-    own = np.diag(damping).copy()
-    rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(model.damping) @ np.abs(shapes))
-    coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
-    np.fill_diagonal(coupling, 0.0)
-    return None if np.any(coupling > 0) else NormalModes(shapes, stiffness, mass, own)
+    return NormalModes(shapes, stiffness, mass, np.einsum("ij,ij->j", shapes, model.damping @ shapes))
 
 
 def receptance(

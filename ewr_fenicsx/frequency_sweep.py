@@ -98,16 +98,31 @@ class FrequencyResponse:
 
     @cached_property
     def unstable(self) -> np.ndarray:
-        """``(n,)`` solutions that motions in time leave: between two folds, alternating, or (small models) in a spiral.
+        """``(n,)`` solutions that motions in time leave: between two folds, alternating, or in a spiral.
 
         Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
         where branches cross (``PeriodicSolution.side``).
         """
+        return self._find_unstable()
+
+    def look_at_stability(self, comm: MPI.Comm, progress: bool = False) -> None:
+        """Finds ``unstable``, its points shared by all ranks; collective. Else each rank does so when it needs it.
+
+        Args:
+            comm, progress: As in ``frequency_response``.
+        """
+        vars(self)["unstable"] = self._find_unstable(comm, progress)
+
+    def _find_unstable(self, comm: MPI.Comm = MPI.COMM_SELF, progress: bool = False) -> np.ndarray:
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
         near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        leaves = lambda s, near: s.alternates or s.multiplier != 0 or (near and s.grows)  # noqa: E731
-        return np.array([leaves(*point) for point in zip(self.solutions, near, strict=True)], dtype=bool)
+        leaves = lambda s, near: bool(s.alternates or s.multiplier != 0 or (near and s.grows))  # noqa: E731
+        points = list(zip(self.solutions, near, strict=True))
+        with count_progress("stability", len(points), progress and comm.rank == 0) as report:
+            found = share_tasks(points, lambda point: leaves(*point), comm, report)
+            report(len(points))
+        return np.array(found, dtype=bool)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ewr_fenicsx import indicators
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_system import ContactSystem
+from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.floquet import find_growth, grows, tell_where_to
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ignored import list_ignored
@@ -124,11 +124,13 @@ class PeriodicSolution(PeriodicMotion):
         lines += list_ignored(self.problem)
         if self.rigid.size and walks(*self._pose(), DOUBTFUL):
             lines.append(MAY_WALK)
+        if self.unstable:
+            unstable = f"unstable: motions in time leave it{tell_where_to(self.alternates, self.multiplier)}"
         if self.fallbacks:
-            stable = "this one is unstable" if self.unstable else "the stability of this one is not known"
+            stable = f"this one is {unstable}" if self.unstable else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
         elif self.unstable:
-            lines.append(f"unstable: motions in time leave it{tell_where_to(self.alternates, self.multiplier)}")
+            lines.append(unstable)
         return tuple(lines)
 
     def list_reservations(self) -> list[str]:
@@ -149,18 +151,18 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def grows(self) -> bool:
         """Whether motions in time leave it without turning: looked at where ``side`` is negative."""
-        return self.side < 0 and grows(self._forgetful, self.forces, self.rigid) is not False
+        return self.side < 0 and grows(self._forgetful.system, self.forces, self.rigid) is not False
 
     @cached_property
     def multiplier(self) -> complex:
-        """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0; looked for in small models."""
+        """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0. See ``floquet.py``."""
         looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
-        return find_growth(self._forgetful, self.forces, self.rigid) if looked_at else 0.0
+        return find_growth(self._forgetful, self.forces, self.rigid, self.coordinates) if looked_at else 0.0
 
     @property
-    def _forgetful(self) -> ContactSystem:
+    def _forgetful(self) -> ContactProblem:
         """What was solved, with dashpots for springs, which remember."""
-        return (replace(self.problem, closure="dashpot") if self.problem.has_springs else self.problem).system
+        return replace(self.problem, closure="dashpot") if self.problem.has_springs else self.problem
 
     @property
     def unstable(self) -> bool:

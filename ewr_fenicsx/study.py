@@ -172,6 +172,8 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             curve = replace(curve, accurate=tuple(map(findings.word_remedy, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
+    with watch.stage("stability"):
+        curve.look_at_stability(comm, watch.progress is not None)
     table = curve.table()
     outputs = [name for name in table if name.startswith("rms_")]
     shown = outputs or ["J_T" if "J_T" in table else "excitation_work"]  # nothing slides where all is bonded

@@ -166,7 +166,10 @@ def test_both_signs_make_that_of_the_doubled_problem(name):
 
 
 def test_the_summary_says_so_of_what_a_fallback_found(branches):
-    for name, told in (("middle", "this one is unstable"), ("upper", "the stability of this one is not known")):
+    for name, told in (
+        ("middle", "this one is unstable: motions in time leave it; integrate("),
+        ("upper", "the stability of this one is not known"),
+    ):
         found = replace(branches[name][5], fallbacks=("given start: lost", "time stepping: found"))
         assert f"found by a fallback: there may be other solutions, and {told}" in found.summary()
 

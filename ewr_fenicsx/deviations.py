@@ -1,0 +1,259 @@
+"""Small deviations from a periodic solution, stepped once through the period.
+
+They obey the laws' derivatives at the solution::
+
+    M x'' + D x' + K x = B^T lam,      dpsi/dlam lam + dpsi/dq B x + dpsi/dv B x' = 0
+
+What a deviation needs to be known by is little: the modes that the steps resolve, with their velocities, and
+how far the other modes, which bend at once, have let the contact rows go. Rows that do not change status over the
+period obey the same equation at every instant: it is solved once.
+
+A row that closes stops within a step what it has deviated by. In truth nothing but the contact node itself gives way at
+once; modes that so short a step does not resolve stand for it.
+
+Source: the scheme (SDIRK2, L-stable: contact nodes without mass do not ring): Alexander (1977), doi:10.1137/0714068.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.compliance import find_undamped_modes
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.contact_system import ContactSystem
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.law_derivatives import Derivative
+
+# Of the motion in time: steps a period, which damp what they do not resolve; periods, the last by the laws alone
+STEPS_IN_TIME, THETA, PERIODS = 512, 0.52, 4
+CONTACT_TOLERANCE, SWEEPS, BOUND = 1e-6, 200, 1e100  # of a step; and a motion past this has left
+VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
+SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
+TOGETHER = 64  # steps whose matrices are held at a time
+RESOLVED = 8  # steps a period of the fastest mode that is stepped; with many more, what closes gets a kick
+
+
+class Slope(NamedTuple):
+    """Derivatives of some laws' rows that change status, one column each."""
+
+    variable: str
+    at: np.ndarray  # (K,) which of these rows
+    columns: np.ndarray  # (K,)
+    values: RealArray  # (n_t, K)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Derivatives of all laws at a solution with ``m`` rows.
+
+    Attributes:
+        derivatives: Sample by sample.
+        is_steady: ``(m,)`` rows whose derivatives are the same at every sample.
+    """
+
+    derivatives: tuple[Derivative, ...]
+    is_steady: np.ndarray
+
+    @classmethod
+    def of(cls, derivatives: tuple[Derivative, ...], rows: int) -> Slopes | None:
+        """None where a derivative is by something else than ``VARIABLES``, or reaches back."""
+        if any(d.since is not None or d.variable not in VARIABLES for d in derivatives):
+            return None
+        is_steady = np.ones(rows, dtype=bool)
+        for d in derivatives:
+            is_steady[d.rows[d.changes]] = False
+        return cls(derivatives, is_steady)
+
+    @property
+    def samples(self) -> int:
+        """Samples a period."""
+        return len(self.derivatives[0].values)
+
+    @cached_property
+    def changing(self) -> np.ndarray:
+        """Rows that change status over the period, ``(x,)``."""
+        return np.flatnonzero(~self.is_steady)
+
+    @cached_property
+    def steady(self) -> np.ndarray:
+        """The others, ``(m - x,)``."""
+        return np.flatnonzero(self.is_steady)
+
+    @cached_property
+    def at_changing(self) -> list[Slope]:
+        """Derivatives of the rows that change status."""
+        place, slopes = np.cumsum(~self.is_steady) - 1, []
+        for d in self.derivatives:
+            pick = ~self.is_steady[d.rows]
+            slopes.append(Slope(d.variable, place[d.rows[pick]], d.columns[pick], d.values[:, pick]))
+        return slopes
+
+    @cached_property
+    def at_steady(self) -> dict[str, RealArray]:
+        """Variable -> ``(m - x, m)`` derivatives of the steady rows.
+
+        Rows that see nothing but their own velocity, for they stick throughout, see their displacement in its place:
+        where they have stuck to is neutral.
+        """
+        place = np.cumsum(self.is_steady) - 1
+        slopes = {name: np.zeros((self.steady.size, self.is_steady.size)) for name in VARIABLES}
+        for d in self.derivatives:
+            pick = self.is_steady[d.rows]
+            slopes[d.variable][place[d.rows[pick]], d.columns[pick]] += d.values[0, pick]
+        sticks = ~np.any(slopes["force"], axis=1) & ~np.any(slopes["displacement"], axis=1)
+        slopes["displacement"][sticks] = slopes["velocity"][sticks]
+        slopes["velocity"][sticks] = 0.0
+        return slopes
+
+    def treat_all_as_changing(self) -> Slopes:
+        """The same with no row among the steady ones."""
+        return Slopes(self.derivatives, np.zeros_like(self.is_steady))
+
+
+def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> Slopes | None:
+    """Derivatives of all laws along the motion in time that begins on a solution, in the last of a few periods.
+
+    That motion opens, closes and slips where the laws have it, not where a truncated series does.
+
+    Args:
+        problem: What was solved.
+        coordinates: Its solution's amplitudes ``(n_h, n)``.
+
+    Returns:
+        None where the motion grows beyond all bounds.
+
+    Raises:
+        ModelError: Time stepping does not know the laws, or takes too few steps for the harmonics.
+        ImportError: There is no compiler for it.
+    """
+    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
+
+    scheme, system = TimeScheme(problem, STEPS_IN_TIME, THETA), problem.system
+    rate = 1j * problem.omega * np.array(problem.basis.orders)
+    position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
+    impulse = np.zeros(len(system.rows))
+    for _ in range(PERIODS):
+        last = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
+        position, velocity, impulse = last.positions[-1], last.velocities[-1], last.impulses[-1]
+    if not np.all(np.abs(last.positions) < BOUND):
+        return None
+    moved, after = last.positions[:-1] @ scheme.rows.T, last.velocities[1:] @ scheme.rows.T
+    signals = {  # as the contact conditions of a step see them
+        "force": lambda: last.impulses / scheme.dt,
+        "displacement": lambda: moved + scheme.dt * after,
+        "velocity": lambda: after,
+    }
+    balance = HarmonicBalance(system, 1.0)
+    seen = balance.observe(signals, STEPS_IN_TIME)
+    responses = [law.evaluate(at) for law, at in zip(system.laws, seen, strict=True)]
+    return Slopes.of(balance.differentiate(responses), balance.rows)
+
+
+class Followed(NamedTuple):
+    """The modes that deviations are made of, ``p`` of them, as ``m`` contact rows see them."""
+
+    mass: RealArray  # (p, p)
+    damping: RealArray  # (p, p)
+    stiffness: RealArray  # (p, p)
+    rows: RealArray  # (m, p)
+    rest: RealArray  # (m, m) flexibility by all other modes, which bend at once
+
+
+def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealArray, samples: int) -> Slopes | None:
+    """Derivatives of all laws at a solution; None where one is by something else than ``VARIABLES``, or remembers."""
+    sampled = replace(system, basis=replace(system.basis, samples=samples))
+    balance = HarmonicBalance(sampled, float(np.linalg.norm(forces)) or 1.0)
+    return Slopes.of(balance.linearise(balance.pack(forces, rigid)).derivatives, balance.rows)
+
+
+def follow_modes(system: ContactSystem, reach: float) -> Followed:
+    """The modes up to an angular frequency [rad/s]; all coordinates for them where the stiffness is not positive."""
+    model, rows = system.model, system.rows
+    modes = find_undamped_modes(model)
+    if modes is None:
+        return Followed(model.mass, model.damping, model.stiffness, rows, np.zeros((len(rows),) * 2))
+    follows = modes.mass * reach**2 >= modes.stiffness
+    kept, left = modes.shapes[:, follows], rows @ modes.shapes[:, ~follows]
+    return Followed(
+        mass=np.diag(modes.mass[follows]),
+        damping=kept.T @ model.damping @ kept,
+        stiffness=np.diag(modes.stiffness[follows]),
+        rows=rows @ kept,
+        rest=left / modes.stiffness[~follows] @ left.T,
+    )
+
+
+def step_deviations(system: ContactSystem, slopes: Slopes) -> RealArray:
+    """What a period makes of small deviations: the monodromy matrix.
+
+    Args:
+        system: The system.
+        slopes: Sampled twice a step.
+
+    Returns:
+        ``(n, n)`` on the state at ``tau = 0``: modal coordinates, their velocities, and the motion that the other modes
+        allow the rows whose velocity a law sees. What sticks for good is at rest. Not finite where it overflows.
+
+    Raises:
+        LinAlgError: Redundant pairs share their forces in any way.
+    """
+    samples, m = slopes.samples, len(system.rows)
+    dt = 4 * np.pi / (system.compliance.omega * samples)
+    h = SHARE * dt
+    mass, damping, stiffness, rows, rest = follow_modes(system, 2 * np.pi / (RESOLVED * dt))
+    at_steady, x, s, p = slopes.at_steady, slopes.changing, slopes.steady, len(mass)
+    remembers = np.any(at_steady["velocity"], axis=0)
+    for slope in slopes.at_changing:
+        if slope.variable == "velocity":
+            remembers[slope.columns] = True
+    remembered = np.flatnonzero(remembers)
+    n = 2 * p + remembered.size
+    inverse = np.linalg.inv(mass / h**2 + damping / h + stiffness)
+    free, start = np.zeros((2, p, n))
+    free[:, : 2 * p] = inverse @ np.hstack([mass / h**2 + damping / h, mass / h])
+    start[:, :p] = np.eye(p)
+    push, before = inverse @ rows.T, rows @ start
+    before[remembered, 2 * p + np.arange(remembered.size)] = 1.0
+    by_state, by_force = rows @ free, rows @ push + rest  # motion of the rows
+    none = np.zeros((remembered.size, n))
+    unforced, forced = (
+        np.concatenate([free, (free - start) / h, none]),
+        np.concatenate([push, push / h, rest[remembered]]),
+    )
+
+    steady_rows = at_steady["force"] + (at_steady["displacement"] + at_steady["velocity"] / h) @ by_force
+    told = at_steady["displacement"] @ by_state + at_steady["velocity"] @ (by_state - before) / h
+    solved = -np.linalg.solve(steady_rows[:, s], np.hstack([steady_rows[:, x], told]))
+    # forces of all rows, by those that change status and by the state; motions and velocities that come with them
+    forces = np.zeros((m, x.size + n))
+    forces[x, : x.size], forces[s] = np.eye(x.size), solved
+    motions = by_force @ forces
+    motions[:, x.size :] += by_state
+    velocities = motions / h
+    velocities[:, x.size :] -= before / h
+    seen = {"force": forces, "displacement": motions, "velocity": velocities}
+
+    def advance(at: np.ndarray) -> RealArray:
+        """``(k, n, n)`` an implicit step over h that ends at each of ``k`` samples."""
+        laws = np.zeros((at.size, x.size, x.size + n))
+        for slope in slopes.at_changing:
+            laws[:, slope.at] += slope.values[at][:, :, None] * seen[slope.variable][slope.columns]
+        found = np.linalg.solve(laws[:, :, : x.size], laws[:, :, x.size :])
+        return (unforced + forced @ forces[:, x.size :]) - (forced @ forces[:, : x.size]) @ found
+
+    whole = np.eye(n)
+    for first in range(0, samples, 2 * TOGETHER):
+        ends = np.arange(first + 2, min(first + 2 * TOGETHER, samples) + 1, 2)
+        half = advance(ends - 2 + round(2 * SHARE)) - np.eye(n)
+        steps = advance(ends % samples) @ (np.eye(n) + (1 - SHARE) / SHARE * half)
+        if x.size == 0:  # all steps are alike
+            return np.linalg.matrix_power(steps[0], samples // 2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for step in steps:
+                whole = step @ whole
+    return whole
