@@ -1,7 +1,9 @@
-# BLAS threads: the matrices are small, so at most four. Under mpirun the tests divide the cores among the ranks.
+# BLAS threads: the matrices are small, so at most four. The tests use one, as rounding depends on their number;
+# under mpirun they divide the cores among the ranks.
 THREADS ?= $(shell n=$$(nproc); echo $$((n < 4 ? n : 4)))
-export OPENBLAS_NUM_THREADS := $(THREADS)
-export OMP_NUM_THREADS := $(THREADS)
+test test-all: THREADS = 1
+export OPENBLAS_NUM_THREADS = $(THREADS)
+export OMP_NUM_THREADS = $(THREADS)
 
 .PHONY: help setup setup-full demo test test-all test-trixie clean
 

@@ -9,9 +9,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-# BLAS reads these once, when numpy loads it: before any other import. `make test` has set them already.
+# BLAS reads these once, when numpy loads it: before any other import. `make test` has set them already. One thread:
+# sums are then rounded alike on machines with other numbers of cores.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(_name, str(min(4, len(os.sched_getaffinity(0)))))
+    os.environ.setdefault(_name, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import logging  # noqa: E402
