@@ -28,14 +28,16 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_derivatives import Derivative
+from ewr_fenicsx.time_stepping import Period, TimeScheme
 
-# Of the motion in time: steps a period, which damp what they do not resolve; periods, the last by the laws alone
+# Of the motion in time: steps a period, which damp what they do not resolve; periods, all but the first looked at
 STEPS_IN_TIME, THETA, PERIODS = 512, 0.52, 4
 CONTACT_TOLERANCE, SWEEPS, BOUND = 1e-6, 200, 1e100  # of a step; and a motion past this has left
 VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
 SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
 TOGETHER = 64  # steps whose matrices are held at a time
 RESOLVED = 8  # steps a period of the fastest mode that is stepped; with many more, what closes gets a kick
+DAMPED = 0.5  # damping force over elastic force at the highest frequency, from which on a mode does not bend at once
 
 
 class Slope(NamedTuple):
@@ -115,8 +117,8 @@ class Slopes:
         return Slopes(self.derivatives, np.zeros_like(self.is_steady))
 
 
-def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> Slopes | None:
-    """Derivatives of all laws along the motion in time that begins on a solution, in the last of a few periods.
+def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> list[Slopes] | None:
+    """Derivatives of all laws along the motion in time that begins on a solution, in each but the first of few periods.
 
     That motion opens, closes and slips where the laws have it, not where a truncated series does.
 
@@ -131,27 +133,43 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
         ModelError: Time stepping does not know the laws, or takes too few steps for the harmonics.
         ImportError: There is no compiler for it.
     """
-    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
-
-    scheme, system = TimeScheme(problem, STEPS_IN_TIME, THETA), problem.system
+    scheme, balance = TimeScheme(problem, STEPS_IN_TIME, THETA), HarmonicBalance(problem.system, 1.0)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
-    impulse = np.zeros(len(system.rows))
+    impulse, along = np.zeros(balance.rows), []
     for _ in range(PERIODS):
-        last = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
-        position, velocity, impulse = last.positions[-1], last.velocities[-1], last.impulses[-1]
-    if not np.all(np.abs(last.positions) < BOUND):
-        return None
-    moved, after = last.positions[:-1] @ scheme.rows.T, last.velocities[1:] @ scheme.rows.T
-    signals = {  # as the contact conditions of a step see them
-        "force": lambda: last.impulses / scheme.dt,
+        period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
+        if not np.all(np.abs(period.positions) < BOUND):
+            return None
+        position, velocity, impulse = period.positions[-1], period.velocities[-1], period.impulses[-1]
+        along.append(_differentiate_period(balance, scheme, period))
+    return along[1:]
+
+
+def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: Period) -> Slopes:
+    """Derivatives of all laws along a period of stepping, as the contact conditions of its steps see them."""
+    moved, after = period.positions[:-1] @ scheme.rows.T, period.velocities[1:] @ scheme.rows.T
+    signals = {
+        "force": lambda: period.impulses / scheme.dt,
         "displacement": lambda: moved + scheme.dt * after,
         "velocity": lambda: after,
     }
-    balance = HarmonicBalance(system, 1.0)
     seen = balance.observe(signals, STEPS_IN_TIME)
-    responses = [law.evaluate(at) for law, at in zip(system.laws, seen, strict=True)]
+    responses = [law.evaluate(at) for law, at in zip(balance.system.laws, seen, strict=True)]
     return Slopes.of(balance.differentiate(responses), balance.rows)
+
+
+class Monodromy(NamedTuple):
+    """What a period makes of small deviations.
+
+    Attributes:
+        matrix: ``(n, n)`` on the state at ``tau = 0``: modal coordinates, their velocities, and the motion that the
+            other modes allow the rows whose velocity a law sees. What sticks for good is at rest.
+        modes: Modal coordinates ``p``.
+    """
+
+    matrix: RealArray
+    modes: int
 
 
 class Followed(NamedTuple):
@@ -172,32 +190,33 @@ def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealA
 
 
 def follow_modes(system: ContactSystem, reach: float) -> Followed:
-    """The modes up to an angular frequency [rad/s]; all coordinates for them where the stiffness is not positive."""
+    """The modes up to an angular frequency [rad/s], and those that damping holds up below it; or all coordinates.
+
+    All where the stiffness is not positive.
+    """
     model, rows = system.model, system.rows
     modes = find_undamped_modes(model)
     if modes is None:
         return Followed(model.mass, model.damping, model.stiffness, rows, np.zeros((len(rows),) * 2))
-    follows = modes.mass * reach**2 >= modes.stiffness
+    damping = modes.shapes.T @ model.damping @ modes.shapes
+    held_up = np.abs(damping).max(axis=1, initial=0.0) * reach > DAMPED  # of shapes with unit stiffness
+    follows = (modes.mass * reach**2 >= modes.stiffness) | held_up
     kept, left = modes.shapes[:, follows], rows @ modes.shapes[:, ~follows]
     return Followed(
         mass=np.diag(modes.mass[follows]),
-        damping=kept.T @ model.damping @ kept,
+        damping=damping[np.ix_(follows, follows)],
         stiffness=np.diag(modes.stiffness[follows]),
         rows=rows @ kept,
         rest=left / modes.stiffness[~follows] @ left.T,
     )
 
 
-def step_deviations(system: ContactSystem, slopes: Slopes) -> RealArray:
-    """What a period makes of small deviations: the monodromy matrix.
+def step_deviations(system: ContactSystem, slopes: Slopes) -> Monodromy:
+    """What a period makes of small deviations, stepped; the matrix is not finite where it overflows.
 
     Args:
         system: The system.
         slopes: Sampled twice a step.
-
-    Returns:
-        ``(n, n)`` on the state at ``tau = 0``: modal coordinates, their velocities, and the motion that the other modes
-        allow the rows whose velocity a law sees. What sticks for good is at rest. Not finite where it overflows.
 
     Raises:
         LinAlgError: Redundant pairs share their forces in any way.
@@ -251,9 +270,7 @@ def step_deviations(system: ContactSystem, slopes: Slopes) -> RealArray:
         ends = np.arange(first + 2, min(first + 2 * TOGETHER, samples) + 1, 2)
         half = advance(ends - 2 + round(2 * SHARE)) - np.eye(n)
         steps = advance(ends % samples) @ (np.eye(n) + (1 - SHARE) / SHARE * half)
-        if x.size == 0:  # all steps are alike
-            return np.linalg.matrix_power(steps[0], samples // 2)
         with np.errstate(over="ignore", invalid="ignore"):
             for step in steps:
                 whole = step @ whole
-    return whole
+    return Monodromy(whole, p)

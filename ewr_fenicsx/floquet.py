@@ -15,7 +15,6 @@ Source: Seydel (2010), Practical Bifurcation and Stability Analysis, doi:10.1007
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
@@ -23,13 +22,17 @@ from ewr_fenicsx.deviations import Slopes, differentiate_along, differentiate_la
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.hill import Hill
-from ewr_fenicsx.stability import find_sign
 
 MOST_UNKNOWNS = 1500  # of Hill's matrix: half a second
 FEWEST = 5  # harmonics of the deviations, below which it is not looked at, but where the solution has no more
 STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
 GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
+# A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
+# matrix has few unknowns, the largest is looked at from this multiplier on
+DOUBTFUL, LITTLE = 0.85, 400
 GUESSES = 3  # at most
+SURE = 0.01  # imaginary part of a real determinant over its modulus, from which on rounding decides its sign
+TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 
@@ -44,8 +47,8 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
         coordinates: Its amplitudes ``(n_h, n)``.
 
     Returns:
-        The one of a pair with positive imaginary part; 0 where none is, where too many rows change status to look, and
-        where a law remembers.
+        The one of a pair with positive imaginary part; 0 where none is seen, where too many rows change status to look,
+        where a law remembers, and where redundant pairs share their forces in any way.
     """
     system = problem.system
     top, rows = system.basis.orders[-1], system.rows.shape[0]
@@ -57,22 +60,23 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
     if slopes is None or count_harmonics(system, slopes) < min(top, FEWEST):
         return 0.0
     try:
-        guesses = guess_multipliers(system, forces, rigid)
-        if guesses.size and is_borne_out(problem, coordinates):
-            found = (refine(system, slopes, guess) for guess in guesses)
-            return next(filter(None, found), 0.0)
-    except np.linalg.LinAlgError:  # redundant pairs share their forces in any way
+        guesses = guess_exponents(system, forces, rigid, DOUBTFUL if is_small(system, slopes) else GROWTH)
+        found = max((refine(system, slopes, guess) for guess in guesses), key=abs, default=0.0)
+        return found if found and is_borne_out(problem, coordinates) else 0.0
+    except np.linalg.LinAlgError:
         return 0.0
-    return 0.0
 
 
 def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
     """Whether deviations grow along the motion in time that begins on a solution; True where it cannot be stepped."""
     try:
-        slopes = differentiate_along(problem, coordinates)
+        along = differentiate_along(problem, coordinates)
     except (ModelError, ImportError):
         return True
-    return slopes is None or measure_growth(step_deviations(problem.system, slopes)) > GROWTH
+    if along is None:
+        return True
+    whole = np.linalg.multi_dot([step_deviations(problem.system, each).matrix for each in reversed(along)])
+    return measure_growth(whole) > 1.0
 
 
 def measure_growth(whole: RealArray) -> float:
@@ -80,27 +84,37 @@ def measure_growth(whole: RealArray) -> float:
     return float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.all(np.isfinite(whole)) else np.inf
 
 
-def guess_multipliers(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> ComplexArray:
-    """The largest multipliers beyond the unit circle that stepping sees, few, one of each pair."""
+def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArray, least: float) -> ComplexArray:
+    """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
+
+    Where it sees none, that of the largest, from ``least`` on. An exponent plus any harmonic's frequency is one as
+    well: of these the one at which the deviation vibrates, whose harmonics are then about the middle of Hill's.
+    """
     for steps in STEPS:
-        whole = step_deviations(system, differentiate_laws(system, forces, rigid, 2 * steps))
+        whole, modes = step_deviations(system, differentiate_laws(system, forces, rigid, 2 * steps))
         if measure_growth(whole) < TRUSTED:
             break
-    found = np.linalg.eigvals(whole)
-    found = found[(np.abs(found) > GROWTH) & (found.imag >= 0)]
-    return found[np.argsort(-np.abs(found))][:GUESSES]
+    found, states = np.linalg.eig(whole)
+    pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0))
+    pick = pick[np.argsort(-np.abs(found[pick]))]
+    pick = pick[: np.clip(np.count_nonzero(np.abs(found[pick]) > GROWTH), 1, GUESSES)]
+    motion, velocity = states[:modes, pick], states[modes : 2 * modes, pick]
+    omega = system.compliance.omega
+    exponents = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
+    rate = np.sum(motion.conj() * velocity, axis=0) / np.maximum(np.sum(np.abs(motion) ** 2, axis=0), TINY)
+    return exponents + 1j * omega * np.round((rate.imag - exponents.imag) / omega)
 
 
 def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:
-    """The largest of the multipliers near a guess that count; 0 where none does.
-
-    An exponent plus any harmonic's frequency is one as well; of these truncation spares those in the middle.
-    """
-    omega, top = system.compliance.omega, count_harmonics(system, slopes)
-    exponents, harmonics = Hill(system, slopes, np.log(complex(guess)) * omega / (2 * np.pi), top).find_nearest()
-    multipliers = np.exp(2 * np.pi * exponents[np.abs(harmonics) <= top / 2] / omega)
-    found = max(multipliers, key=abs, default=0.0)
+    """The largest of the multipliers with exponents near a guess that count; 0 where none does."""
+    exponents = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()
+    found = max(np.exp(2 * np.pi * exponents / system.compliance.omega), key=abs, default=0.0)
     return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+
+
+def is_small(system: ContactSystem, slopes: Slopes) -> bool:
+    """Whether Hill's matrix costs so little that doubtful guesses are looked at as well."""
+    return (2 * count_harmonics(system, slopes) + 1) * slopes.changing.size <= LITTLE
 
 
 def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
@@ -119,20 +133,14 @@ def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool
         forces, rigid: As in ``find_growth``.
 
     Returns:
-        None where a law remembers.
+        None where a law remembers, and where rounding decides.
     """
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is None:
         return None
-    top, omega = system.basis.orders[-1], system.compliance.omega
-    to_complex = np.zeros((2 * top + 1, 2 * top + 1), dtype=complex)  # from mean, cosines and sines
-    to_complex[top, top], h = 1.0, np.arange(1, top + 1)
-    to_complex[top + h, top + h] = to_complex[top - h, top + h] = np.sqrt(0.5)
-    to_complex[top + h, top - h], to_complex[top - h, top - h] = -1j * np.sqrt(0.5), 1j * np.sqrt(0.5)
-    transform = sparse.kron(to_complex, sparse.identity(system.rows.shape[0]), format="csr")
-    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * omega, top)
-    matrix = transform.conj().T @ hill.matrix @ transform
-    return find_sign(matrix.real) < 0
+    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
+    sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
+    return bool(sign.real < 0) if abs(sign.imag) < SURE else None
 
 
 def tell_where_to(alternates: bool, multiplier: complex) -> str:

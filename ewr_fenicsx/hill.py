@@ -90,27 +90,25 @@ class Hill:
             raise np.linalg.LinAlgError("forces are not unique")
         return factors
 
-    def find_nearest(self) -> tuple[ComplexArray, ComplexArray]:
-        """The exponents nearest to this one [1/s], and the mean harmonic of each one's forces.
+    def find_nearest(self) -> ComplexArray:
+        """The exponents nearest to this one [1/s], few.
 
         Raises:
             LinAlgError: Redundant pairs share their forces in any way.
         """
         size = self.orders.size * (2 * len(self.modes.mass) + self.m)
         if size <= SMALL:
-            values, vectors = np.linalg.eig(np.array([self.invert(unit) for unit in np.eye(size)]).T)
+            values = np.linalg.eigvals(np.array([self.invert(unit) for unit in np.eye(size)]).T)
         else:
             start = self.invert(self.invert(np.random.default_rng(0).standard_normal(size) + 0j))
             operator = LinearOperator((size, size), matvec=self.invert, dtype=complex)
+            arnoldi = {"ncv": SPACE, "v0": start, "maxiter": RESTARTS, "tol": TOLERANCE, "return_eigenvectors": False}
             try:
-                values, vectors = eigs(operator, NEAREST, ncv=SPACE, v0=start, maxiter=RESTARTS, tol=TOLERANCE)
+                values = eigs(operator, NEAREST, **arnoldi)
             except ArpackNoConvergence as found:
-                values, vectors = found.eigenvalues, found.eigenvectors
-        near = np.argsort(-np.abs(values))[:NEAREST]
-        near = near[np.abs(values[near]) > 0]
-        forces = vectors[size - self.orders.size * self.m :, near].reshape(self.orders.size, self.m, near.size)
-        share = np.sum(np.abs(forces) ** 2, axis=1)
-        return self.exponent + 1 / values[near], self.orders @ share / share.sum(axis=0)
+                values = found.eigenvalues
+        values = values[np.argsort(-np.abs(values))][:NEAREST]
+        return self.exponent + 1 / values[np.abs(values) > 0]
 
     def invert(self, vector: ComplexArray) -> ComplexArray:
         """``(A - s B)^-1 B`` times a vector ``(a, b, lam)``, for the equations above as ``A y = s B y``."""
