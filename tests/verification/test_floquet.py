@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 from small_models import dovetail, repeat_first_pair, stop_oscillator
 
 from ewr_fenicsx import (
@@ -59,6 +60,104 @@ def two_masses() -> ReducedModel:
 
 def tapping(frequency: float, harmonics: int = 15) -> ContactProblem:
     return ContactProblem(two_masses(), FRICTIONLESS, frequency, harmonics)
+
+
+def stand_beside(first: ReducedModel, second: ReducedModel, stiffness: float, time: float) -> ReducedModel:
+    """Two models that do not touch, the second with so many times its stiffness and forces, ``time`` times as slow."""
+
+    def pad(left, right):
+        return block_diag(left, np.zeros((0, second.size))), block_diag(np.zeros((0, first.size)), right)
+
+    second = replace(
+        second,
+        mass=stiffness * time**2 * second.mass,
+        damping=stiffness * time * second.damping,
+        stiffness=stiffness * second.stiffness,
+        load={h: stiffness * force for h, force in second.load.items()},
+    )
+    none = [np.zeros(first.size), np.zeros(second.size)]
+    return ReducedModel(
+        **{name: block_diag(getattr(first, name), getattr(second, name)) for name in ("mass", "damping", "stiffness")},
+        normal=np.vstack(pad(first.normal, second.normal)),
+        tangential=np.vstack(pad(np.zeros((first.pairs, first.size)), second.tangential)),
+        load={h: np.concatenate([first.load.get(h, none[0]), second.load.get(h, none[1])]) for h in (0, 1)},
+        outputs={"tip": np.concatenate([first.outputs["tip"], none[1]])},
+    )
+
+
+def step_rubbing_masses(solution, friction: float, steps: int = 4000) -> np.ndarray:
+    """As ``step_masses`` where the first mass rubs under the stop's force: turning, its velocity's deviation jumps.
+
+    The jump is the ratio of the accelerations after and before (a saltation).
+    """
+    model, omega, orders = solution.problem.model, solution.problem.omega, np.array(solution.orders)
+    linear, damping = model.stiffness[:2, :2] - np.diag([0.0, STOP]), model.damping[0, 0]
+    phases = np.exp(1j * omega * np.outer(np.linspace(0, 2 * np.pi / omega, 2 * steps + 1), orders))
+    moved = np.real(phases @ solution.coordinates)[:, :2]
+    turning = np.sign(np.real(phases @ (1j * omega * orders[:, None] * solution.coordinates))[:, 0])
+
+    def rate(j, sign, state):
+        pressed = STOP * (moved[j, 1] > 0)
+        stiffness = linear + np.array([[0.0, friction * sign * pressed], [0.0, pressed]])
+        return np.vstack([state[2:], -stiffness @ state[:2] - damping * state[2:]])
+
+    whole, dt = np.eye(4), 2 * np.pi / omega / steps
+    for j in range(0, 2 * steps, 2):
+        sign = turning[j]
+        first = rate(j, sign, whole)
+        second = rate(j + 1, sign, whole + dt / 2 * first)
+        third = rate(j + 1, sign, whole + dt / 2 * second)
+        whole = whole + dt / 6 * (first + 2 * second + 2 * third + rate(j + 2, sign, whole + dt * third))
+        if turning[j + 2] != sign:
+            push, limit = -(linear @ moved[j + 2])[0], friction * STOP * max(0.0, moved[j + 2, 1])
+            assert abs(push) > limit, "it turns and does not stick"
+            whole[2] *= (push + sign * limit) / (push - sign * limit)
+    return np.linalg.eigvals(whole)
+
+
+def hold_stop_up(dashpot: float) -> ReducedModel:
+    """``two_masses`` with a dashpot beside the stop's spring."""
+    model = two_masses()
+    beside = np.zeros((3, 3))
+    beside[1:, 1:] = dashpot * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return replace(model, damping=model.damping + beside)
+
+
+def sprung_slider(closure: str) -> ContactProblem:
+    """A mass that feeds on its own motion, on a spring, and by another one on a slider without mass (Jenkins)."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0]),
+        damping=np.diag([-0.1, 0.0]),
+        stiffness=[[2.0, -1.0], [-1.0, 1.0]],
+        tangential=[[0.0, 1.0]],
+        load={1: [1.0, 0.0]},
+        outputs={"tip": [1.0, 0.0]},
+    )
+    return ContactProblem(model, ContactLaws("prescribed", normal_force=0.5, friction=1.0), 0.1, 31, closure=closure)
+
+
+def step_sprung_slider(solution, steps: int = 2000) -> np.ndarray:
+    """Multipliers of its mass, by differences of periods stepped from about the periodic motion."""
+    omega, damping = solution.problem.omega, solution.problem.model.damping[0, 0]
+    dt, load = 2 * np.pi / omega / steps, np.cos(np.pi * np.arange(2 * steps) / steps)
+
+    def run(state):
+        x, v, bent = state
+        for early, late in load.reshape(-1, 2):
+            middle = x + dt / 2 * v, v + dt / 2 * (early - x - damping * v - bent)
+            half = np.clip(bent + dt / 2 * v, -0.5, 0.5)
+            x, v = x + dt * middle[1], v + dt * (late - middle[0] - damping * middle[1] - half)
+            bent = np.clip(bent + dt * middle[1], -0.5, 0.5)
+        return np.array([x, v, bent])
+
+    amplitudes = solution.coordinates
+    start = amplitudes.real.sum(axis=0), (1j * omega * np.array(solution.orders) @ amplitudes).real
+    state = np.array([start[0][0], start[1][0], np.clip(start[0][0] - start[0][1], -0.5, 0.5)])
+    for _ in range(3):
+        columns = [(run(state + 1e-5 * unit) - run(state - 1e-5 * unit)) / 2e-5 for unit in np.eye(3)]
+        whole = np.array(columns).T
+        state = state - np.linalg.solve(whole - np.eye(3), run(state) - state)
+    return np.linalg.eigvals(whole)
 
 
 def step_masses(solution) -> np.ndarray:
@@ -207,11 +306,76 @@ def test_redundant_pairs_and_a_joint_at_rest_have_none():
     assert solve(ContactProblem(still, ContactLaws(friction=0.2), 0.0, 0)).multiplier == 0
 
 
-@pytest.mark.parametrize("closure", ["dashpot", "spring"])
-def test_friction_that_hardly_acts_changes_no_multiplier(closure):
-    """The first mass rubs a little while the second one presses on its stop; springs are taken for dashpots."""
+@pytest.mark.parametrize("ratio", [2.3, 6.3, 20.3])
+def test_modes_above_the_harmonics_are_seen(ratio):
+    """One that grows threefold a period, of a linear system; nine harmonics."""
+    model = gyroscope(np.zeros((2, 2)))
+    stiffness, size = model.stiffness[:2, :2], 2
+    fastest = np.sqrt(np.linalg.eigvalsh(stiffness)[-1])
+    frequency = fastest / ratio / (2 * np.pi)
+    shape = np.linalg.eigh(stiffness)[1][:, -1]
+    damping = np.pad(-2 * np.log(3.0) * frequency * np.outer(shape, shape), (0, 1))
+    found = solve(ContactProblem(replace(model, damping=damping), FRICTIONLESS, frequency, 9))
+    state = np.block([[np.zeros((size, size)), np.eye(size)], [-stiffness, -damping[:2, :2]]])
+    exact = max(np.exp(np.linalg.eigvals(state) / frequency), key=lambda m: (abs(m), m.imag))
+    assert abs(exact) == pytest.approx(3.0, rel=0.01)
+    assert found.multiplier == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("harmonics", [9, 63])
+@pytest.mark.parametrize(("frequency", "friction"), [(0.42, 0.03), (0.42, 0.1), (0.425, 0.06)])
+def test_masses_that_rub_and_turn(frequency, friction, harmonics):
+    """Stepping by itself has them stick for a sample, and sees no growth."""
     model = replace(two_masses(), tangential=[[1.0, 0.0, 0.0]])
-    problem = replace(tapping(0.425, 31), model=model, laws=ContactLaws(friction=1e-4), closure=closure)
-    expected = solve(tapping(0.425, 31)).multiplier
-    assert abs(expected) > 1.1
-    assert solve(problem).multiplier == pytest.approx(expected, rel=0.02)
+    found = solve(replace(tapping(frequency, harmonics), model=model, laws=ContactLaws(friction=friction)))
+    exact = max(abs(step_rubbing_masses(found, friction)))
+    assert exact > 1.04
+    assert abs(found.multiplier) == pytest.approx(exact, rel=0.02 if harmonics < 20 else 0.01)
+
+
+@pytest.mark.parametrize(("frequency", "dashpot", "leaves"), [(0.41, 0.5, False), (0.42, 1.0, True)])
+def test_a_dashpot_without_mass_beside_a_stop_holds_motions_back(frequency, dashpot, leaves):
+    """Without it both would leave, by 1.12 and 1.17 a period."""
+    found = solve(ContactProblem(hold_stop_up(dashpot), FRICTIONLESS, frequency, 31))
+    assert (found.multiplier != 0) == leaves == found.unstable
+    assert abs(found.multiplier) < 1.05
+    steady = integrate(found.problem, found, 1024, 150, tolerance=0, theta=0.52)
+    assert np.all(steady.changes[-5:] > 0.05) if leaves else steady.changes[-1] < 1e-6
+
+
+def test_a_dashpot_in_line_with_a_spring_has_the_multipliers_of_a_linear_system():
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0, 0.0]),
+        damping=np.diag([-0.1, 5.0, 0.0]),
+        stiffness=[[3.0, -1.0, -1.0], [-1.0, 1.001, 0.0], [-1.0, 0.0, 1.0]],
+        normal=[[0.0, 0.0, 1.0]],
+        load={0: [0.0, 0.0, -5.0], 1: [0.2, 0.0, 0.0]},
+    )
+    state = [[0.0, 1.0, 0.0], [-3.0, 0.1, 1.0], [0.2, 0.0, -1.001 / 5]]  # position, velocity, between the two
+    exact = max(np.exp(np.linalg.eigvals(state) / 0.2), key=lambda m: (abs(m), m.imag))
+    assert abs(exact) > 1.08
+    assert solve(ContactProblem(model, FRICTIONLESS, 0.2, 9)).multiplier == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("closure", ["dashpot", "spring"])
+def test_a_slider_on_a_spring(closure):
+    """Springs for the harmonics left out remember: dashpots are taken in their place."""
+    found = solve(sprung_slider(closure))
+    assert found.fallbacks == () and found.problem.has_springs == (closure == "spring")
+    exact = max(step_sprung_slider(found), key=abs)
+    assert exact.real > 1.4
+    assert found.multiplier == pytest.approx(exact, rel=0.05)
+
+
+def test_beside_a_floating_joint_folds_are_told_as_they_are_without():
+    """Rows that stick and bodies that float make pivots which look like rounding; the determinant's sign is certain."""
+    opens = replace(FRICTIONLESS, initial_gap=1.0)
+    joined = stand_beside(stop_oscillator(), dovetail(pull=1000.0, excitation=10.0), stiffness=1e-7, time=5000.0)
+    laws = [([0], opens), (range(1, joined.pairs), ContactLaws(friction=0.5))]
+    alone, both = (
+        frequency_response(model, each, np.linspace(0.15, 0.18, 13), 9, progress=False)
+        for model, each in ((stop_oscillator(), opens), (joined, laws))
+    )
+    for curve in (alone, both):
+        between = [solution for solution in curve.solutions if solution.side < 0]
+        assert len(between) > 5 and all(solution.grows for solution in between)
