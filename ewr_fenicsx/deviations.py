@@ -30,8 +30,8 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_derivatives import Derivative
 from ewr_fenicsx.time_stepping import Period, TimeScheme
 
-# Of the motion in time: steps a period, which damp what they do not resolve; periods, all but the first looked at
-STEPS_IN_TIME, THETA, PERIODS = 512, 0.52, 4
+STEPS_IN_TIME, THETA = 512, 0.52  # a period of the motion in time; they damp what they do not resolve
+PERIODS = 3  # looked at, after a first one
 CONTACT_TOLERANCE, SWEEPS, BOUND = 1e-6, 200, 1e100  # of a step; and a motion past this has left
 VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
 SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
@@ -117,8 +117,8 @@ class Slopes:
         return Slopes(self.derivatives, np.zeros_like(self.is_steady))
 
 
-def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> list[Slopes] | None:
-    """Derivatives of all laws along the motion in time that begins on a solution, in each but the first of few periods.
+def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> Slopes | None:
+    """Derivatives of all laws along the motion in time that begins on a solution, over ``PERIODS`` after a first one.
 
     That motion opens, closes and slips where the laws have it, not where a truncated series does.
 
@@ -137,16 +137,17 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> l
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
     impulse, along = np.zeros(balance.rows), []
-    for _ in range(PERIODS):
+    for _ in range(1 + PERIODS):
         period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):
             return None
         position, velocity, impulse = period.positions[-1], period.velocities[-1], period.impulses[-1]
         along.append(_differentiate_period(balance, scheme, period))
-    return along[1:]
+    joined = [replace(one[0], values=np.vstack([d.values for d in one])) for one in zip(*along[1:], strict=True)]
+    return Slopes.of(tuple(joined), balance.rows)
 
 
-def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: Period) -> Slopes:
+def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: Period) -> tuple[Derivative, ...]:
     """Derivatives of all laws along a period of stepping, as the contact conditions of its steps see them."""
     moved, after = period.positions[:-1] @ scheme.rows.T, period.velocities[1:] @ scheme.rows.T
     signals = {
@@ -156,11 +157,11 @@ def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: 
     }
     seen = balance.observe(signals, STEPS_IN_TIME)
     responses = [law.evaluate(at) for law, at in zip(balance.system.laws, seen, strict=True)]
-    return Slopes.of(balance.differentiate(responses), balance.rows)
+    return balance.differentiate(responses)
 
 
 class Monodromy(NamedTuple):
-    """What a period makes of small deviations.
+    """What one or more periods make of small deviations.
 
     Attributes:
         matrix: ``(n, n)`` on the state at ``tau = 0``: modal coordinates, their velocities, and the motion that the
@@ -211,18 +212,19 @@ def follow_modes(system: ContactSystem, reach: float) -> Followed:
     )
 
 
-def step_deviations(system: ContactSystem, slopes: Slopes) -> Monodromy:
-    """What a period makes of small deviations, stepped; the matrix is not finite where it overflows.
+def step_deviations(system: ContactSystem, slopes: Slopes, periods: int = 1) -> Monodromy:
+    """What one or more periods make of small deviations, stepped; the matrix is not finite where it overflows.
 
     Args:
         system: The system.
-        slopes: Sampled twice a step.
+        slopes: Sampled twice a step, over so many periods.
+        periods: How many.
 
     Raises:
         LinAlgError: Redundant pairs share their forces in any way.
     """
     samples, m = slopes.samples, len(system.rows)
-    dt = 4 * np.pi / (system.compliance.omega * samples)
+    dt = 4 * np.pi * periods / (system.compliance.omega * samples)
     h = SHARE * dt
     mass, damping, stiffness, rows, rest = follow_modes(system, 2 * np.pi / (RESOLVED * dt))
     at_steady, x, s, p = slopes.at_steady, slopes.changing, slopes.steady, len(mass)

@@ -3,11 +3,11 @@
 A pair of complex multipliers beyond the unit circle changes no sign of a determinant (``stability.py``): motions leave
 in a spiral, mostly for one that never repeats.
 
-Three steps, each only where the one before lets deviations grow. They are stepped through the period from every unit
-state, for a guess (``deviations.py``): this displaces the instants at which pairs change status by up to half a sample,
-and by itself would call some stable solutions unstable. They are stepped along the motion in time that begins on the
-solution: truncated, many pairs that lift off may do so where the laws would not have it. What counts are the exponents
-nearest to a guess on the solution's harmonics (``hill.py``).
+Deviations are stepped through the period from every unit state, for a guess (``deviations.py``): that displaces the
+instants at which pairs change status by up to half a sample, and by itself would call some stable solutions unstable,
+and some unstable ones stable. What counts are the exponents nearest to a guess on the solution's harmonics
+(``hill.py``), where deviations also grow along the motion in time that begins on the solution: truncated, many pairs
+that lift off may do so where the laws would not have it.
 
 Source: Seydel (2010), Practical Bifurcation and Stability Analysis, doi:10.1007/978-1-4419-1740-9.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
-from ewr_fenicsx.deviations import Slopes, differentiate_along, differentiate_laws, step_deviations
+from ewr_fenicsx.deviations import PERIODS, Slopes, differentiate_along, differentiate_laws, step_deviations
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.hill import Hill
@@ -70,13 +70,10 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
 def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
     """Whether deviations grow along the motion in time that begins on a solution; True where it cannot be stepped."""
     try:
-        along = differentiate_along(problem, coordinates)
+        slopes = differentiate_along(problem, coordinates)
     except (ModelError, ImportError):
         return True
-    if along is None:
-        return True
-    whole = np.linalg.multi_dot([step_deviations(problem.system, each).matrix for each in reversed(along)])
-    return measure_growth(whole) > 1.0
+    return slopes is None or measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > 1.0
 
 
 def measure_growth(whole: RealArray) -> float:

@@ -159,7 +159,7 @@ class PeriodicSolution(PeriodicMotion):
         looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
         return find_growth(self._forgetful, self.forces, self.rigid, self.coordinates) if looked_at else 0.0
 
-    @property
+    @cached_property
     def _forgetful(self) -> ContactProblem:
         """What was solved, with dashpots for springs, which remember."""
         return replace(self.problem, closure="dashpot") if self.problem.has_springs else self.problem
