@@ -31,7 +31,7 @@ GROWTH = 1.02  # a period, from which on it counts: less is within the errors of
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
 GUESSES = 3  # at most
-SURE = 0.01  # imaginary part of a real determinant over its modulus, from which on rounding decides its sign
+SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
@@ -137,7 +137,7 @@ def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool
         return None
     hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
     sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
-    return bool(sign.real < 0) if abs(sign.imag) < SURE else None
+    return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
 
 
 def tell_where_to(alternates: bool, multiplier: complex) -> str:
