@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,9 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_derivatives import Derivative
-from ewr_fenicsx.time_stepping import Period, TimeScheme
+
+if TYPE_CHECKING:
+    from ewr_fenicsx.time_stepping import Period, TimeScheme
 
 STEPS_IN_TIME, THETA = 512, 0.52  # a period of the motion in time; they damp what they do not resolve
 PERIODS = 3  # looked at, after a first one
@@ -133,6 +135,8 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
         ModelError: Time stepping does not know the laws, or takes too few steps for the harmonics.
         ImportError: There is no compiler for it.
     """
+    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
+
     scheme, balance = TimeScheme(problem, STEPS_IN_TIME, THETA), HarmonicBalance(problem.system, 1.0)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))

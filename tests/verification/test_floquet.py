@@ -260,7 +260,7 @@ def test_laws_that_are_not_stepped_in_time_are_taken_by_their_series(monkeypatch
         raise ModelError("time integration knows only others; use solve")
 
     found = solve(tapping(0.42))
-    monkeypatch.setattr("ewr_fenicsx.deviations.TimeScheme", refuse)
+    monkeypatch.setattr("ewr_fenicsx.time_stepping.TimeScheme", refuse)
     assert replace(found).multiplier == found.multiplier != 0
 
 
