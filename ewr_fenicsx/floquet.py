@@ -31,6 +31,7 @@ GROWTH = 1.02  # a period, from which on it counts: less is within the errors of
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
 GUESSES = 3  # at most
+NEUTRAL = 1e-6  # distance from one of a multiplier of what neither grows nor decays: a body that slides on
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
@@ -85,21 +86,24 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
     """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
 
     Where it sees none, that of the largest, from ``least`` on. An exponent plus any harmonic's frequency is one as
-    well: of these the one at which the deviation vibrates, whose harmonics are then about the middle of Hill's.
+    well. One is that at which the deviation vibrates, whose harmonics are then about the middle of Hill's; beyond the
+    circle the slowest is given too, for a deviation may have many harmonics.
     """
     for steps in STEPS:
         whole, modes = step_deviations(system, differentiate_laws(system, forces, rigid, 2 * steps))
         if measure_growth(whole) < TRUSTED:
             break
     found, states = np.linalg.eig(whole)
-    pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0))
+    pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0) & (np.abs(found - 1.0) > NEUTRAL))
     pick = pick[np.argsort(-np.abs(found[pick]))]
-    pick = pick[: np.clip(np.count_nonzero(np.abs(found[pick]) > GROWTH), 1, GUESSES)]
+    beyond = np.count_nonzero(np.abs(found[pick]) > GROWTH)
+    pick = pick[: np.clip(beyond, 1, GUESSES)]
     motion, velocity = states[:modes, pick], states[modes : 2 * modes, pick]
     omega = system.compliance.omega
-    exponents = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
+    slowest = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
     rate = np.sum(motion.conj() * velocity, axis=0) / np.maximum(np.sum(np.abs(motion) ** 2, axis=0), TINY)
-    return exponents + 1j * omega * np.round((rate.imag - exponents.imag) / omega)
+    vibrating = slowest + 1j * omega * np.round((rate.imag - slowest.imag) / omega)
+    return np.unique([vibrating, slowest]) if beyond else vibrating
 
 
 def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:

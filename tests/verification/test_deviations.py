@@ -147,4 +147,4 @@ def test_where_more_steps_blow_up_fewer_are_taken(monkeypatch):
     monkeypatch.setattr(floquet, "step_deviations", blow_up)
     guesses = floquet.guess_exponents(found.problem.system, found.forces, found.rigid, 1.0)
     assert counts == [512, 256]
-    assert np.exp(guesses[0] / found.problem.frequency) == pytest.approx(exact, rel=0.05)
+    assert np.exp(max(guesses, key=lambda z: z.real) / found.problem.frequency) == pytest.approx(exact, rel=0.05)
