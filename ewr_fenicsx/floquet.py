@@ -86,8 +86,7 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
     """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
 
     Where it sees none, that of the largest, from ``least`` on. An exponent plus any harmonic's frequency is one as
-    well. One is that at which the deviation vibrates, whose harmonics are then about the middle of Hill's; beyond the
-    circle the slowest is given too, for a deviation may have many harmonics.
+    well: of these the one at which the deviation vibrates, whose harmonics are then about the middle of Hill's.
     """
     for steps in STEPS:
         whole, modes = step_deviations(system, differentiate_laws(system, forces, rigid, 2 * steps))
@@ -96,14 +95,12 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
     found, states = np.linalg.eig(whole)
     pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0) & (np.abs(found - 1.0) > NEUTRAL))
     pick = pick[np.argsort(-np.abs(found[pick]))]
-    beyond = np.count_nonzero(np.abs(found[pick]) > GROWTH)
-    pick = pick[: np.clip(beyond, 1, GUESSES)]
+    pick = pick[: np.clip(np.count_nonzero(np.abs(found[pick]) > GROWTH), 1, GUESSES)]
     motion, velocity = states[:modes, pick], states[modes : 2 * modes, pick]
     omega = system.compliance.omega
-    slowest = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
+    exponents = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
     rate = np.sum(motion.conj() * velocity, axis=0) / np.maximum(np.sum(np.abs(motion) ** 2, axis=0), TINY)
-    vibrating = slowest + 1j * omega * np.round((rate.imag - slowest.imag) / omega)
-    return np.unique([vibrating, slowest]) if beyond else vibrating
+    return exponents + 1j * omega * np.round((rate.imag - exponents.imag) / omega)
 
 
 def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:
