@@ -27,11 +27,12 @@ MOST_UNKNOWNS = 1500  # of Hill's matrix: half a second
 FEWEST = 5  # harmonics of the deviations, below which it is not looked at, but where the solution has no more
 STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
 GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
+BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
 # A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
 GUESSES = 3  # at most
-NEUTRAL = 1e-6  # distance from one of a multiplier of what neither grows nor decays: a body that slides on
+NEUTRAL = 0.01  # distance from one, up to which a guess may be of what neither grows nor decays: where a body has slid to
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
@@ -74,7 +75,9 @@ def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
         slopes = differentiate_along(problem, coordinates)
     except (ModelError, ImportError):
         return True
-    return slopes is None or measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > 1.0
+    if slopes is None:
+        return True
+    return measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > BORNE_OUT**PERIODS
 
 
 def measure_growth(whole: RealArray) -> float:
