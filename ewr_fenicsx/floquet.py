@@ -32,7 +32,7 @@ BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is 
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
 GUESSES = 3  # at most
-NEUTRAL = 0.01  # distance from one, up to which a guess may be of what neither grows nor decays: where a body has slid to
+NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutral: where a body has slid to
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
