@@ -216,6 +216,34 @@ def follow_modes(system: ContactSystem, reach: float) -> Followed:
     )
 
 
+def eliminate_steady(modes: Followed, slopes: Slopes, exponents: ComplexArray) -> tuple[ComplexArray, ...]:
+    """What forces make of deviations that grow by ``exp(z t)``, with the equations of steady rows solved.
+
+    Args:
+        modes: The modes that follow.
+        slopes: The laws' derivatives.
+        exponents: z, ``(k,)`` [1/s].
+
+    Returns:
+        Modal coordinates by modal forces ``(k, p, p)``; the rows' motions by their forces ``(k, m, m)``; the inverse of
+        what the equations of steady rows make of their forces ``(k, m - x, m - x)``; forces of all rows by those of the
+        rows that change status ``(k, m, x)``.
+
+    Raises:
+        LinAlgError: The forces of steady rows are not unique.
+    """
+    z = exponents[:, None, None]
+    answer = np.linalg.inv(z**2 * modes.mass + z * modes.damping + modes.stiffness)
+    flexibility = modes.rows @ answer @ modes.rows.T + modes.rest
+    x, s, slope = slopes.changing, slopes.steady, slopes.at_steady
+    own = slope["force"] + (slope["displacement"] + z * slope["velocity"]) @ flexibility
+    inverse = np.linalg.inv(own[:, :, s])
+    follow = np.zeros((len(z), len(modes.rows), x.size), dtype=own.dtype)
+    follow[:, x] = np.eye(x.size)
+    follow[:, s] = -inverse @ own[:, :, x]
+    return answer, flexibility, inverse, follow
+
+
 def step_deviations(system: ContactSystem, slopes: Slopes, periods: int = 1) -> Monodromy:
     """What one or more periods make of small deviations, stepped; the matrix is not finite where it overflows.
 
@@ -230,33 +258,30 @@ def step_deviations(system: ContactSystem, slopes: Slopes, periods: int = 1) -> 
     samples, m = slopes.samples, len(system.rows)
     dt = 4 * np.pi * periods / (system.compliance.omega * samples)
     h = SHARE * dt
-    mass, damping, stiffness, rows, rest = follow_modes(system, 2 * np.pi / (RESOLVED * dt))
-    at_steady, x, s, p = slopes.at_steady, slopes.changing, slopes.steady, len(mass)
+    modes = follow_modes(system, 2 * np.pi / (RESOLVED * dt))
+    at_steady, x, p = slopes.at_steady, slopes.changing, len(modes.mass)
     remembers = np.any(at_steady["velocity"], axis=0)
     for slope in slopes.at_changing:
         if slope.variable == "velocity":
             remembers[slope.columns] = True
     remembered = np.flatnonzero(remembers)
     n = 2 * p + remembered.size
-    inverse = np.linalg.inv(mass / h**2 + damping / h + stiffness)
+    # an implicit step divides by h where exp(z t) multiplies by z
+    answer, by_force, steady_inverse, follow = (each[0] for each in eliminate_steady(modes, slopes, np.array([1 / h])))
     free, start = np.zeros((2, p, n))
-    free[:, : 2 * p] = inverse @ np.hstack([mass / h**2 + damping / h, mass / h])
+    free[:, : 2 * p] = answer @ np.hstack([modes.mass / h**2 + modes.damping / h, modes.mass / h])
     start[:, :p] = np.eye(p)
-    push, before = inverse @ rows.T, rows @ start
+    push, before, by_state = answer @ modes.rows.T, modes.rows @ start, modes.rows @ free
     before[remembered, 2 * p + np.arange(remembered.size)] = 1.0
-    by_state, by_force = rows @ free, rows @ push + rest  # motion of the rows
     none = np.zeros((remembered.size, n))
     unforced, forced = (
         np.concatenate([free, (free - start) / h, none]),
-        np.concatenate([push, push / h, rest[remembered]]),
+        np.concatenate([push, push / h, modes.rest[remembered]]),
     )
-
-    steady_rows = at_steady["force"] + (at_steady["displacement"] + at_steady["velocity"] / h) @ by_force
-    told = at_steady["displacement"] @ by_state + at_steady["velocity"] @ (by_state - before) / h
-    solved = -np.linalg.solve(steady_rows[:, s], np.hstack([steady_rows[:, x], told]))
     # forces of all rows, by those that change status and by the state; motions and velocities that come with them
-    forces = np.zeros((m, x.size + n))
-    forces[x, : x.size], forces[s] = np.eye(x.size), solved
+    told = at_steady["displacement"] @ by_state + at_steady["velocity"] @ (by_state - before) / h
+    forces = np.hstack([follow, np.zeros((m, n))])
+    forces[slopes.steady, x.size :] = -steady_inverse @ told
     motions = by_force @ forces
     motions[:, x.size :] += by_state
     velocities = motions / h

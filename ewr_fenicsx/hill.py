@@ -24,7 +24,7 @@ import scipy.linalg
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from ewr_fenicsx.contact_system import ContactSystem
-from ewr_fenicsx.deviations import Slopes, follow_modes
+from ewr_fenicsx.deviations import Slopes, eliminate_steady, follow_modes
 from ewr_fenicsx.given import ComplexArray
 
 NEAREST, SPACE, RESTARTS = 3, 24, 10  # exponents looked for near a guess; vectors of Arnoldi's method, how often anew
@@ -53,15 +53,8 @@ class Hill:
         self.orders = np.arange(-top, top + 1)
         self.z = exponent + 1j * self.orders * system.compliance.omega
         self.modes = modes = follow_modes(system, FOLLOWS * top * system.compliance.omega)
-        z = self.z[:, None, None]
-        self.answer = np.linalg.inv(z**2 * modes.mass + z * modes.damping + modes.stiffness)
-        self.flexibility = modes.rows @ self.answer @ modes.rows.T + modes.rest
-        x, s, steady = slopes.changing, slopes.steady, slopes.at_steady
-        own = steady["force"] + (steady["displacement"] + z * steady["velocity"]) @ self.flexibility
-        self.steady_inverse = np.linalg.inv(own[:, :, s])
-        self.follow = np.zeros((self.orders.size, self.m, x.size), dtype=complex)  # all forces by those that change
-        self.follow[:, x] = np.eye(x.size)
-        self.follow[:, s] = -self.steady_inverse @ own[:, :, x]
+        solved = eliminate_steady(modes, slopes, self.z)
+        self.answer, self.flexibility, self.steady_inverse, self.follow = solved
 
     @cached_property
     def matrix(self) -> ComplexArray:
