@@ -15,14 +15,15 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.newton_step import Factorisation
+from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 from ewr_fenicsx.stability import find_side
 
 BalanceAt = Callable[[float], HarmonicBalance]
 
-_DERIVATIVE_STEP = 1e-6  # relative step in the parameter for the derivative of the residual
+_DERIVATIVE_STEP = 1e-8  # step in the parameter for the derivative of the residual, over its span
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
+_STRAIGHT, _ALONG = 0.9, 0.5  # cosine above which a branch goes straight on; and above which two tangents are one
 _AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine
 
 
@@ -52,7 +53,6 @@ def trace_branch(
     tolerance: float = 1e-8,
     before: BranchPoint | None = None,
     stray: float = np.inf,
-    oriented: bool = False,
 ) -> Iterator[BranchPoint]:
     """Follow a branch from a converged point, until the consumer stops or a step fails at the smallest size.
 
@@ -61,41 +61,37 @@ def trace_branch(
         start: A converged point.
         span: Parameter range that counts as one unit of length; its sign is the first direction.
         step: First step, in units of arc length.
-        smallest_step: Below this the branch ends, unless it turns a corner there.
+        smallest_step: Below this the branch ends.
         largest_step: No step is longer than this.
         tolerance: Residual norm of accepted points.
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
-        stray: A point further from the last one than so many steps is another branch's. Where it is finite, sharp
-            corners are turned: non-smooth laws make branches turn back on themselves in a point. Long steps across
-            such a corner are halved.
-        oriented: Whether the way on from a corner is told by the Jacobian's determinant, whose sign times that of the
-            parameter's change is the same all along a branch, unless others cross it. If not, every corner leads back:
-            wrong where a step leapt over the corner and landed beyond it.
+        stray: A point further from the last one than so many steps is another branch's. Where it is finite, long steps
+            across a sharp corner are halved.
     """
-    here, tangent, turned, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), False, 0
+    here, tangent, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), 0
     if before is not None:
         tangent = _point_to(before, start, span)
-    sense = np.sign(tangent[-1]) * find_side(balance_at(start.parameter), start.unknowns) if oriented else 0
+    ways = [(here, tangent)]  # the last points, and along what the branch came there
     while step >= smallest_step:
-        found, onward, taken = _correct(balance_at, here, tangent, step, span, tolerance)
+        found, onward, taken = _correct(balance_at, here, step * tangent, tangent, span, tolerance)
         spent += taken
         if found is not None and measure_arc(here, found, span) > stray * step:
             found = None
         if found is not None and np.isfinite(stray) and step > _LEAP and onward is not None:
             chord = _point_to(here, found, span)
             found = found if np.sign(onward @ chord) * (onward @ tangent) >= _AROUND else None
-        if found is None and 0.5 * step < smallest_step and np.isfinite(stray) and not turned:
-            corner = _turn_corner(balance_at, here, tangent, 4 * smallest_step, span, sense)
-            if corner is not None:
-                tangent, step, turned = corner, 200 * smallest_step, True
-                continue
+        ahead = None
+        if found is None and step <= _LEAP:
+            found, ahead, taken = _turn_corner(balance_at, ways, step, span, tolerance)
+            spent += taken
         if found is None:
             step *= 0.5
             continue
-        tangent, turned = _point_to(here, found, span), False
+        tangent = _point_to(here, found, span) if ahead is None else ahead
         yield replace(found, steps=spent)
         here, spent = found, 0
+        ways = [(here, tangent), *ways[:1]]
         step = min(largest_step, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
 
 
@@ -128,36 +124,86 @@ def _point_to(a: BranchPoint, b: BranchPoint, span: float) -> RealArray:
 
 
 def _turn_corner(
-    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, beyond: float, span: float, sense: float
-) -> RealArray | None:
-    """Where a branch goes from a corner just ahead: the tangent of the smooth piece that begins there.
+    balance_at: BalanceAt, ways: Sequence[tuple[BranchPoint, RealArray]], step: float, span: float, tolerance: float
+) -> tuple[BranchPoint | None, RealArray | None, int]:
+    """A branch's point beyond a sharp corner, over which a step leaps or the last one leapt.
 
-    ``sense`` is the sign of the determinant times that of the parameter's change; 0: not known, the branch leads back.
+    Non-smooth laws make branches piecewise smooth: they turn in a point, often back on themselves, so that no plane
+    across the way they came meets the piece beyond. It is looked for in a plane across that piece's own tangent.
+
+    Args:
+        ways: The last points, the latest first, with the direction in which the branch came to each.
+        balance_at, step, span, tolerance: As in ``trace_branch``.
+
+    Returns:
+        The point and the tangent there, or None; and the Newton steps taken.
     """
-    z, s = here.unknowns + beyond * tangent[:-1], here.parameter + beyond * tangent[-1] * span
-    linear = balance_at(s).linearise(z)
-    slope = (balance_at(s + _DERIVATIVE_STEP * span).residual(z) - linear.residual) / _DERIVATIVE_STEP
+    sense, taken = 0, 0
+    for point, tangent in ways:  # the latest may lie beyond a corner, aside of the way that led there
+        there = _find_tangent(balance_at, point.unknowns, point.parameter, span)
+        taken += 1
+        if there is not None and abs(there @ tangent) > _ALONG:
+            sense = np.sign(there @ tangent)
+            break
+    here, tangent = ways[0]
+    ahead = step * tangent
+    beyond = _find_tangent(balance_at, here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span, span)
+    if not sense or beyond is None or sense * beyond @ tangent > _STRAIGHT:
+        return None, None, taken + 1
+    beyond = sense * beyond
+    found, _, steps = _correct(balance_at, here, ahead + step * beyond, beyond, span, tolerance)
+    if found is None:
+        return None, None, taken + 1 + steps
+    there = _find_tangent(balance_at, found.unknowns, found.parameter, span)
+    if there is None or sense * there @ beyond < _ALONG:
+        found = there = None
+    return found, sense * there if found else None, taken + 2 + steps
+
+
+def _find_tangent(balance_at: BalanceAt, unknowns: RealArray, parameter: float, span: float) -> RealArray | None:
+    """Tangent of the branch through a point, in the direction in which the bordered determinant is positive.
+
+    All along a branch that is the same direction, also round corners, unless another branch crosses it.
+    """
+    balance = balance_at(parameter)
+    linear = balance.linearise(unknowns)
     try:
-        onward = np.append(-linear.solve(slope), 1.0)
+        across = linear.solve(_differentiate(balance_at, linear, unknowns, parameter, span))
     except np.linalg.LinAlgError:
         return None
-    onward *= (sense * find_side(balance_at(s), z) or -np.sign(onward @ tangent)) / np.linalg.norm(onward)
-    return None if onward @ tangent < -1 + 1e-6 else onward  # the way that it came
+    tangent = np.append(-across, 1.0) * find_side(balance, unknowns)
+    norm = np.linalg.norm(tangent)
+    return tangent / norm if 0 < norm < np.inf else None
+
+
+def _differentiate(
+    balance_at: BalanceAt, linear: NewtonStep, unknowns: RealArray, parameter: float, span: float
+) -> RealArray:
+    """Derivative of the residual by the parameter in units of ``span``, with the laws linear in the motion.
+
+    At the same forces a resonance moves pairs so far that many change status, however short the step; along the branch
+    forces change as well, and hardly any does.
+    """
+    motion = linear.balance.compliance.motion(*linear.balance.unpack(unknowns))
+    nudged = balance_at(parameter + _DERIVATIVE_STEP * span).linearise(unknowns, motion)
+    return (nudged.residual - linear.residual) / _DERIVATIVE_STEP
 
 
 def _correct(
-    balance_at: BalanceAt, here: BranchPoint, tangent: RealArray, step: float, span: float, tolerance: float
+    balance_at: BalanceAt, here: BranchPoint, ahead: RealArray, tangent: RealArray, span: float, tolerance: float
 ) -> tuple[BranchPoint | None, RealArray | None, int]:
-    """The branch's point a step ahead, or None; its tangent, of either sign, where known; the Newton steps taken."""
-    z, s = here.unknowns + step * tangent[:-1], here.parameter + step * tangent[-1] * span
+    """The branch's point in the plane across a tangent, through ``ahead`` of here; or None.
+
+    With its own tangent, of either sign, where known, and the Newton steps taken.
+    """
+    z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
     balance = balance_at(s)
     norm, onward = np.linalg.norm(balance.residual(z)), None
     for taken in range(CORRECTOR_STEPS):
         if norm <= tolerance:
             return BranchPoint(s, z, taken), onward, taken
         linear = balance.linearise(z)
-        nudge = _DERIVATIVE_STEP * span
-        slope = (balance_at(s + nudge).residual(z) - linear.residual) / _DERIVATIVE_STEP
+        slope = _differentiate(balance_at, linear, z, s, span)
         try:
             factors = Factorisation(linear, linear.residual)
         except np.linalg.LinAlgError:

@@ -27,12 +27,10 @@ NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near;
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
 SMALLEST_STEP = 2e-5  # of the frequency
 TRACED_POINTS, LOOKS_BACK = 600, 10  # points; how often it is looked whether they go round in a circle
-# Distances of a traced point, in steps, from which it is another branch's. At a sharp corner each may miss the way that
-# another finds: a wide one leaps to a branch near by, a narrow one takes the corner for a dead end.
-STRAYS = (3.0, 2.0, 1.5)
-# Ways to trace: such a distance, and whether the determinant's sign tells where corners lead. It does after a leap over
-# a corner, and it misleads where another branch was crossed.
-WAYS = ((STRAYS[0], True), *((stray, False) for stray in (*STRAYS[1:], STRAYS[0])))
+# Distances of a traced point, in steps, from which it is another branch's: a wide one may leap to a branch near by, of
+# which a narrow one keeps clear
+STRAYS = (3.0, 1.5)
+CLOSED = "the branch is a closed curve"  # which no other way leads out of
 BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
@@ -210,10 +208,12 @@ class Follower:
 
     def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
         """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there."""
-        for stray, oriented in WAYS:
-            points, why = self._trace_arc(here, before, target, stray, oriented)
+        for stray in STRAYS:
+            points, why = self._trace_arc(here, before, target, stray)
             if not why:
                 return Curve(points)
+            if CLOSED in why:
+                break
         # what was traced so far is on no way to the target
         try:
             cold = solve(self.problem_at(target), tolerance=self.tolerance)
@@ -223,7 +223,7 @@ class Follower:
         return Curve([cold], [Jump((here.problem.frequency, target), why)])
 
     def _trace_arc(
-        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float, oriented: bool
+        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float
     ) -> tuple[list[PeriodicSolution], str]:
         """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
         unit = HarmonicBalance(here.problem.system).force_unit
@@ -251,14 +251,13 @@ class Follower:
             largest_step=0.1,
             before=last,
             stray=stray,
-            oriented=oriented,
         )
         path = [point]
         for point in branch:
             path.append(point)
             if len(path) % LOOKS_BACK == 0 and retraces(path, span):
                 frequencies = [p.parameter for p in path]
-                why = f"the branch is a closed curve between {min(frequencies):g} and {max(frequencies):g} Hz"
+                why = f"{CLOSED} between {min(frequencies):g} and {max(frequencies):g} Hz"
                 return points, why
             if not least <= point.parameter <= most:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"

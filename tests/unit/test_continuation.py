@@ -1,0 +1,66 @@
+"""Branches of periodic solutions: their derivative by the parameter, and their tangents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from small_models import dovetail, friction_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, continuation, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.continuation import BranchPoint
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.newton_step import NewtonStep
+
+
+def begin(problem: ContactProblem) -> tuple[BranchPoint, Callable[[float], HarmonicBalance]]:
+    """The solution of a problem, and balances over the frequency in its units."""
+    found = solve(problem)
+    unit = HarmonicBalance(problem.system).force_unit
+    at = lambda f: HarmonicBalance(replace(problem, frequency=float(f)).system, unit)  # noqa: E731
+    return BranchPoint(problem.frequency, at(problem.frequency).pack(found.forces, found.rigid), 0), at
+
+
+def move_in_the_same_states(linear: NewtonStep, there: HarmonicBalance, unknowns: RealArray) -> RealArray:
+    """Change of the residual from a linearised balance to another at the same forces, no sample changing status."""
+    balance: HarmonicBalance = linear.balance
+    seen = []
+    for each in (balance, there):
+        motion = each.compliance.motion(*each.unpack(unknowns))
+        signals = {"displacement": motion, "velocity": each.rate[:, None] * motion}
+        seen.append({name: balance.basis.synthesise(signal) for name, signal in signals.items()})
+    change = np.zeros((balance.basis.samples, balance.rows))
+    for d in linear.derivatives:
+        if not d.by_force:
+            change[:, d.rows] += d.values * (seen[1][d.variable] - seen[0][d.variable])[:, d.columns]
+    return balance.basis.project(change)[balance.unknown] / balance.force_unit
+
+
+def test_the_derivative_by_the_frequency_keeps_every_sample_in_its_state():
+    """At the same forces a resonance moves the mass so far, within a millionth of the frequency, that samples change
+    status; along the branch hardly any does. Branches were lost where that was taken for their tangent."""
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
+    problem = ContactProblem(friction_oscillator(damping=1e-3), laws, 0.15915, 9)
+    here, at = begin(problem)
+    linear = at(here.parameter).linearise(here.unknowns)
+    found = continuation._differentiate(at, linear, here.unknowns, here.parameter, 1.0)
+    step = 1e-9
+    moved = move_in_the_same_states(linear, at(here.parameter + step), here.unknowns)
+    size = np.linalg.norm(moved / step)
+    np.testing.assert_allclose(found, moved / step, atol=1e-4 * size)
+    step = 1e-6
+    plain = (at(here.parameter + step).residual(here.unknowns) - linear.residual) / step
+    assert np.linalg.norm(plain - found) > 0.5 * size, "or the case shows nothing"
+
+
+def test_the_tangent_points_along_the_branch():
+    """Against the next points of the branch, in units in which the frequency's range is one."""
+    problem = ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9)
+    here, at = begin(problem)
+    tangent = continuation._find_tangent(at, here.unknowns, here.parameter, 1000.0)
+    for f in (999.99, 1000.01):
+        there = solve(replace(problem, frequency=f), tolerance=1e-11)
+        chord = np.append(at(f).pack(there.forces, there.rigid) - here.unknowns, (f - 1000.0) / 1000.0)
+        assert abs(chord @ tangent) / np.linalg.norm(chord) > 0.999
