@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, following, frequency_response, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, continuation, following, frequency_response, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.continuation import BranchPoint, retraces
 
@@ -189,6 +189,20 @@ def test_corners_are_not_leapt_over_from_afar():
     curve, turns = sweep_between_two_stops(9)
     w2 = np.roots([1.0, 0.03**2 - 2.0, 1.0 - (0.2 / 0.5) ** 2]).max()
     assert curve.frequencies[turns[1]] == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=5e-3)
+
+
+def test_a_corner_is_turned_without_creeping_into_it(monkeypatch):
+    """Steps were halved twenty times before it was looked where the branch leads."""
+    correct, steps = continuation._correct, []
+
+    def measure(balance_at, here, ahead, *rest):
+        steps.append(np.linalg.norm(ahead))
+        return correct(balance_at, here, ahead, *rest)
+
+    monkeypatch.setattr(continuation, "_correct", measure)
+    _, turns = sweep_between_two_stops(5)
+    assert turns.size == 2
+    assert min(steps) > 1e-4
 
 
 def go_round(angles, pitch: float = 0.0) -> list[BranchPoint]:
