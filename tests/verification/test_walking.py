@@ -173,3 +173,39 @@ def test_a_sweep_leaves_out_where_the_body_walks(tmp_path):
     assert curves[1.0].missing == (0.2, 0.3) and curves[9.0].missing == ()
     none, all_ = (path.read_text().splitlines() for path in sorted(tmp_path.glob("*.csv")))
     assert len(none) == 1 and len(all_) == 3, "a curve without a solution is a table without rows"
+
+
+def ring_on_a_shaft(off: float, pairs: int = 24, radius: float = 1.0, stiffness: float = 1e8) -> ReducedModel:
+    """A rigid ring on elastic springs all round a shaft, whose normals are ``off`` the radial direction [rad].
+
+    Coordinates: the ring's x, y and rotation times radius; per pair the shaft's node, normal and tangential.
+    """
+    angle = 2 * np.pi * np.arange(pairs) / pairs
+    turned = angle + off * np.random.default_rng(0).standard_normal(pairs)
+    normal, tangential = np.zeros((2, pairs, 3 + 2 * pairs))
+    n = -np.column_stack([np.cos(turned), np.sin(turned)])  # out of the ring, inwards
+    t = np.column_stack([-n[:, 1], n[:, 0]])
+    moved = np.array([[[1.0, 0.0, -radius * np.sin(a)], [0.0, 1.0, radius * np.cos(a)]] for a in angle])
+    normal[:, :3], tangential[:, :3] = (sign * np.einsum("ki,kij->kj", d, moved) for sign, d in ((-1, n), (1, t)))
+    normal[np.arange(pairs), 3 + 2 * np.arange(pairs)] = 1.0
+    tangential[np.arange(pairs), 4 + 2 * np.arange(pairs)] = -1.0
+    mass, springs = np.diag([1.0, 1.0, 1.0, *np.zeros(2 * pairs)]), np.diag([0.0] * 3 + [stiffness] * 2 * pairs)
+    load = np.zeros((2, 3 + 2 * pairs))
+    load[0, 1], load[1, 0] = -2000.0, 5.0
+    return ReducedModel(
+        mass=mass,
+        damping=5.0 * mass + 1e-6 * springs,
+        stiffness=springs,
+        normal=normal,
+        tangential=tangential,
+        load=dict(enumerate(load)),
+        outputs={"turned": np.eye(3 + 2 * pairs)[2]},
+    )
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-8, 1e-7])
+def test_a_round_joint_is_held_by_friction_however_its_nodes_are_rounded(off):
+    """Normals off by a mesh's rounding seemed to resist rotation: a ring turned without end, silently."""
+    solution = solve(ContactProblem(ring_on_a_shaft(off), ContactLaws(friction=0.2), 100.0))
+    assert abs(solution.output("turned")[0]) < 1e-9
+    assert "hangs on friction" in solution.summary()
