@@ -64,8 +64,9 @@ reached, but missed:
 
 {misses}
 
-The sample says nothing of a mass that rubs on a rigid wall, with no body in between to give way. There the velocity has corners
-that few harmonics do not show, and the estimates are often too small: ask for a third of the error that you can accept.
+The sample says nothing of a mass that rubs on a rigid wall, with no body in between to give way. There the velocity has
+corners that few harmonics do not show, and the estimates are often too small: ask for a third of the error that you can
+accept.
 
 Without a reference that can be trusted, and so not in the shares:
 
