@@ -26,11 +26,12 @@ or `solve_to_accuracy(problem, 0.01)`.
 
 **A single solution.** The solver starts with harmonics up to 3 and estimates the error by single Newton steps on
 neighbouring problems: with more harmonics and more samples, with another friction weight, with fewer modes. It raises
-the knob that dominates, and starts the next solve at the last solution. From the second set of harmonics on springs
-close the truncation of friction where joints are elastic (`docs/method.md`), which takes fewer harmonics than
-dashpots. A second Newton step sharpens the estimate, unless the first one tells of far more than is asked. The
-estimate comes with the result, and so does the reason where the accuracy was not reached. It covers the outputs at
-the given frequency, as far as contact solve and modes decide on them. It knows nothing of the mesh's error.
+the knob that dominates, and starts the next solve at the last solution. Masses that rub by themselves close the
+truncation of friction, and from the second set of harmonics on springs do where joints are elastic
+(`docs/method.md`): both take fewer harmonics than dashpots. A second Newton step sharpens the estimate, unless the
+first one tells of far more than is asked. The estimate comes with the result, and so does the reason where the accuracy
+was not reached. It covers the outputs at the given frequency, as far as contact solve and modes decide on them. It
+knows nothing of the mesh's error.
 
 **Modes.** In a scene the modes are raised as well: `reduction.modes`, given or not, is where they begin. They are
 doubled where those left out matter most; mesh, matrices, static responses and the modes already found are kept.
@@ -56,17 +57,14 @@ what is to be as accurate as the outputs; `evolve_wear` passes both on.
 
 The sample: two small joints, the blade root and the gallery's scenes, under loads from gentle to hard (in the names,
 f1 is the first full-stick mode; the load is the ratio of oscillating to mean contact forces in full stick, `reached`
-at that frequency, or `applied`: what a static load of that size would make). Linear cases (no pair ever slips or
+at that frequency, or `applied`: what a static load of that size would make); and masses, blocks and rows of masses that
+rub on a rigid wall (f1: 1000 rad/s, near their resonance). Linear cases (no pair ever slips or
 opens) are exact with any setting. The reference is time stepping, at two step sizes and extrapolated, or a harmonic
 solve of high order where stepping has not settled. "Cheapest" is the fastest fixed setting (harmonics, samples,
 dashpots with two weights, springs) whose *true* error meets the accuracy, which a user could not know. Reported as
 reached, but missed:
 
 {misses}
-
-The sample says nothing of a mass that rubs on a rigid wall, with no body in between to give way. There the velocity has
-corners that few harmonics do not show, and the estimates are often too small: ask for a third of the error that you can
-accept.
 
 Without a reference that can be trusted, and so not in the shares:
 

@@ -14,7 +14,7 @@ from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     CLEAR,
-    RATE,
+    FIRST_ORDER,
     ErrorEstimate,
     Figure,
     choose_harmonics,
@@ -23,14 +23,14 @@ from ewr_fenicsx.estimates import (
     estimate_samples,
     estimate_together,
     estimate_weight,
-    holds_springs,
+    find_rate,
     measure_distance,
+    name_closures,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 
-FIRST_ORDER = 3  # highest harmonic of the first solve, and of any with dashpots only: so few say little with springs
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
@@ -86,10 +86,11 @@ class AccurateSolution:
         first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
         parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
-        springs, count = " closed by springs" if holds_springs(self.solution.problem) else "", len(self.levels)
+        closures, count = " and ".join(name_closures(self.solution.problem)), len(self.levels)
+        closed = f" closed by {closures}" if closures else ""
         lines = [
             f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
-            f"{orders[-1]}{springs}, {self.solution.problem.basis.samples} samples, {count} solve{'s' * (count != 1)}, "
+            f"{orders[-1]}{closed}, {self.solution.problem.basis.samples} samples, {count} solve{'s' * (count != 1)}, "
             f"{self.seconds:.2f} s"
         ]
         modes = [level.modes for level in self.levels]
@@ -118,7 +119,8 @@ def solve_to_accuracy(
 
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
-    From the second set of harmonics on springs close the truncation of Coulomb's law, as long as they find a solution.
+    Masses that rub by themselves close the truncation of Coulomb's law, and from the second set of harmonics on springs
+    do where joints are elastic, as long as they find a solution.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
     without, a larger set is tried once, and where it fails as well, what was found before stays.
 
@@ -165,9 +167,10 @@ def solve_to_accuracy(
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
     solution, estimate, limit, remedy, springs = start, None, "", AccurateSolution.remedy, True
     lost: list[int] = []
+    damped = -1  # set of harmonics that needs dashpots
     most = int(highest)
     while not limit:
-        posed = pose_level(problem, top, density, dropped, springs)
+        posed = pose_level(problem, top, density, dropped, springs and top != damped)
         chosen = posed.has_springs and not problem.has_springs
         try:
             if levels and len(modes) == levels[-1].modes:
@@ -176,7 +179,8 @@ def solve_to_accuracy(
                 found = solve(posed, solution, tolerance, fallbacks=not chosen)
         except NotConverged as error:
             if chosen:
-                springs = False  # dashpots are sturdier
+                damped = top  # dashpots are sturdier; springs that found nothing are not tried again
+                springs = "springs" not in name_closures(posed)
                 continue
             if not levels:
                 raise
@@ -216,7 +220,9 @@ def solve_to_accuracy(
             if density > MOST_SAMPLES:
                 limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
         else:
-            raised = max(next_order(levels, accuracy), top + 2)  # symmetry may make the next one zero
+            raised = max(
+                next_order(levels, accuracy, find_rate(solution.problem)), top + 2
+            )  # symmetry may make the next one zero
             needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
             dropped |= set(posed.basis.orders) - needed
             room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
@@ -263,8 +269,9 @@ def pose_level(
     if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
     posed = use_mobility(posed)
-    sprung = replace(posed, closure="spring")
-    return sprung if springs and top > FIRST_ORDER and holds_springs(sprung) else posed
+    closed = replace(posed, closure="spring")
+    closures = name_closures(closed) if springs else ()
+    return closed if closures and (top > FIRST_ORDER or "springs" not in closures) else posed
 
 
 def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:
@@ -305,9 +312,10 @@ def judge(
     level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
-    closed_alike = before is not None and not any(holds_springs(s.problem) for s in (before, solution))
+    closures = {name_closures(s.problem) for s in (before, solution) if s is not None}
+    closed_alike = before is not None and closures in ({()}, {("masses",)})
     if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
-        error = measure_distance(before, solution, figure) / (max(growth, GROWTH[0]) ** RATE - 1)
+        error = measure_distance(before, solution, figure) / (max(growth, GROWTH[0]) ** find_rate(solution.problem) - 1)
     if error <= accuracy:
         error = max(error, estimate_together(solution, accuracy, figure))
     known = [level.estimate.samples for level in levels if level.estimate.samples < IDLE * accuracy]
@@ -325,10 +333,10 @@ def raise_modes(count: int, most: int) -> int:
     return min(MODES_GROWTH * count, most)
 
 
-def next_order(levels: Sequence[Level], accuracy: float) -> int:
-    """Highest harmonic of the next solve, by the rate at which errors fall."""
+def next_order(levels: Sequence[Level], accuracy: float, rate: float) -> int:
+    """Highest harmonic of the next solve, by the ``rate`` at which errors fall."""
     here = levels[-1]
     goal = max(0.8 * accuracy - np.nan_to_num(here.estimate.samples), 0.3 * accuracy)
-    wanted = (np.nanmax([here.estimate.harmonics, here.estimate.weight]) / goal) ** (1 / RATE)
+    wanted = (here.estimate.truncation / goal) ** (1 / rate)
     low, high = GROWTH if here.unknowns < MANY else GROWTH_OF_MANY
     return int(np.ceil(max(1, here.orders[-1]) * min(max(wanted, low), high)))

@@ -174,6 +174,7 @@ class HarmonicBalance:
             "displacement": lambda: basis.synthesise(motion),
             "oscillation": lambda: basis.synthesise(oscillates * motion),
             "velocity": lambda: basis.synthesise(rate * motion),
+            "acceleration": lambda: basis.synthesise(rate**2 * motion),
         }
         return {name: cache(compute) for name, compute in synthesise.items()}
 
@@ -202,10 +203,10 @@ class HarmonicBalance:
         """Derivatives of all laws by what is unknown, from their responses."""
         derivatives = []
         for law, rows, response in zip(self.system.laws, self.law_rows, responses, strict=True):
-            for variable, direction, values, since in response.partials:
+            for variable, direction, values, since, kept in response.partials:
                 columns = self.system.row_of(direction, law.pairs)
                 if np.all(columns >= 0):  # else it is given, not unknown
-                    derivatives.append(Derivative(rows, columns, variable, values, since))
+                    derivatives.append(Derivative(rows, columns, variable, values, since, kept))
         return tuple(derivatives)
 
     def _respond(
@@ -291,7 +292,8 @@ def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:
     named = [("residual", response.residual)]
     for part in response.partials:
         told = f"derivative by the {part.direction.replace('_', ' ')} {part.variable.replace('_', ' ')}"
-        named += [(told, part.values)] + ([] if part.since is None else [(f"since of the {told}", part.since)])
+        memory = (("since", part.since), ("kept", part.kept))
+        named += [(told, part.values), *((f"{name} of the {told}", at) for name, at in memory if at is not None)]
     for told, values in named:
         if np.shape(values) != shape or np.iscomplexobj(values):
             raise ModelError(

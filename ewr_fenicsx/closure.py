@@ -1,4 +1,4 @@
-"""What stands for the harmonics left out of a truncated friction force: springs where a pair's surroundings bend.
+"""What stands for the harmonics left out of a truncated friction force: springs where surroundings bend, or masses.
 
 Beyond the highest harmonic a contact node moves against its elastic neighbourhood, or as a mass by itself. Its own
 dynamic flexibility there tells which, and how soft the springs are.
@@ -16,6 +16,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel
 
 Closure = Literal["dashpot", "spring"]
+ALIKE, ALONE = 1.3, 0.05  # a mass: how far it may vary over the harmonics left out; and how far others may move it
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
@@ -31,6 +32,24 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
     """
     beyond = np.abs(measure_beyond(model, rows, omega, list_beyond(highest))).mean(axis=0)
     return np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0)
+
+
+def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int) -> RealArray:
+    """``(m,)`` mass of contact rows that move beyond a highest harmonic as masses by themselves, zero of others [kg].
+
+    Args:
+        model: The reduced model.
+        rows: ``(m, n)`` rows along which pairs rub, all of them: they may not move each other.
+        omega: Angular frequency of the first harmonic [rad/s].
+        highest: Highest harmonic that is kept.
+    """
+    rates = np.array(list_beyond(highest)) * omega
+    flexibility = np.array([receptance(model, rate, rows, rows.T) for rate in rates])
+    own = np.diagonal(flexibility, axis1=1, axis2=2)
+    mass = np.real(-1 / (own * rates[:, None] ** 2))
+    alike = (mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0))
+    coupling = (np.abs(flexibility).sum(axis=2) - np.abs(own)).max(axis=0)
+    return np.where(alike & (coupling < ALONE * np.abs(own).min(axis=0)), mass.mean(axis=0), 0.0)
 
 
 def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: Sequence[int]) -> ComplexArray:

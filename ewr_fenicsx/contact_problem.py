@@ -15,7 +15,7 @@ from typing import get_args
 
 import numpy as np
 
-from ewr_fenicsx.closure import Closure, find_springs
+from ewr_fenicsx.closure import Closure, find_masses, find_springs
 from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_system import ContactSystem
@@ -46,9 +46,10 @@ class ContactProblem:
         rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
         closure: What stands for the harmonics left out in Coulomb's law: ``"dashpot"``, ``v = rho_tangential lam``;
-            ``"spring"``, ``q = d lam`` with each pair's own flexibility beyond the highest harmonic; or ``(K_c,)`` such
-            flexibilities ``d`` [m/N], zero for dashpots. Springs are mostly more accurate at the same harmonics.
-            Friction in a plane (two tangents a pair) keeps its dashpots.
+            ``"spring"``, ``q = d lam`` with each pair's own flexibility beyond the highest harmonic, and the mass of
+            pairs that move by themselves as one; or ``(K_c,)`` such flexibilities ``d`` [m/N], zero for dashpots.
+            Springs are mostly more accurate at the same harmonics, and masses by far. Friction in a plane (two tangents
+            a pair) keeps its dashpots, and so do rigid bodies that rub at several pairs.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.
@@ -124,7 +125,7 @@ class ContactProblem:
 
     @property
     def has_springs(self) -> bool:
-        """Whether springs rather than dashpots stand for the harmonics left out."""
+        """Whether springs or masses rather than dashpots may stand for the harmonics left out."""
         return not (isinstance(self.closure, str) and self.closure == "dashpot")
 
     @property
@@ -288,7 +289,8 @@ def build_laws(
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
     closing = {d: choose_closing(problem, pairs, layout, at, own[d]) for d, at in rows.items() if d != "normal"}
-    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, problem.clearance[pairs], rubs_to_hold)
+    masses = {d: choose_closing_mass(problem, pairs, layout, d, springs > 0) for d, springs in closing.items()}
+    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, problem.clearance[pairs], rubs_to_hold)
     return laws.build(group)
 
 
@@ -317,6 +319,19 @@ def choose_closing(
     if not problem.has_springs or not highest:
         return np.zeros(pairs.size)
     return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
+
+
+def choose_closing_mass(
+    problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str, bends: np.ndarray
+) -> RealArray:
+    """``(K,)`` masses that close the truncation at a group of pairs, zero where it ``bends`` and for dashpots [kg]."""
+    highest = problem.basis.orders[-1]
+    if not (isinstance(problem.closure, str) and problem.has_springs and highest) or np.all(bends):
+        return np.zeros(pairs.size)
+    at = layout.index[direction]
+    masses = np.zeros(at.size)
+    masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, highest)
+    return np.where(bends, 0.0, masses[pairs])
 
 
 def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance: DynamicCompliance) -> bool:

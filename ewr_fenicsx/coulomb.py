@@ -13,6 +13,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
 from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
@@ -53,9 +54,14 @@ class DryFriction(LawKind):
             return build_in_plane(group, self.friction, self.static_friction, eps)
         friction = group.spread(self.friction)
         springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
-        weights, closing = group.weight["tangential"], group.closing["tangential"]
+        closing, masses = group.closing["tangential"], group.closing_mass["tangential"]
+        closures = (
+            (Coulomb, group.weight["tangential"], (closing <= 0) & (masses <= 0)),
+            (SprungCoulomb, closing, closing > 0),
+            (InertialCoulomb, masses, masses > 0),
+        )
         laws = []
-        for kind, given, picked in ((Coulomb, weights, closing <= 0), (SprungCoulomb, closing, closing > 0)):
+        for kind, given, picked in closures:
             mean = (0.0, 1.0) if self.static_friction == "zero" else (1.0, eps, springs[picked])
             if np.any(picked):
                 laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean))

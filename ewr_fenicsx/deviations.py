@@ -66,7 +66,7 @@ class Slopes:
     @classmethod
     def of(cls, derivatives: tuple[Derivative, ...], rows: int) -> Slopes | None:
         """None where a derivative is by something else than ``VARIABLES``, or reaches back."""
-        if any(d.since is not None or d.variable not in VARIABLES for d in derivatives):
+        if any(d.remembers or d.variable not in VARIABLES for d in derivatives):
             return None
         is_steady = np.ones(rows, dtype=bool)
         for d in derivatives:

@@ -214,13 +214,13 @@ def _gather(
     for d in derivatives:
         pick = np.flatnonzero(place[d.rows] >= 0)
         at, columns = place[d.rows[pick]], d.columns[pick]
-        value = np.outer(rate if d.by_rate else np.ones(rate.size), d.values[0, pick])
+        value = np.outer(rate**d.rates, d.values[0, pick])
         if d.by_force:
             A[:, at, columns] += value
             continue
         if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
             springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
-            value[mean] = springs if d.since is None else 0.0
+            value[mean] = 0.0 if d.remembers else springs
         A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
         A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
         toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]

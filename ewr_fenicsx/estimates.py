@@ -6,11 +6,11 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
 - *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer. Where springs
   close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
 - *samples*: twice as many at the same harmonics.
-- *weight*: another ``rho_T``, which would change nothing if nothing were truncated.
+- *weight*: another ``rho_T``, which would change nothing if nothing were truncated. It adds to what harmonics do.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
 
 The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
-What the weight does is kept apart: it may cancel against the harmonics.
+What the weight does is looked at apart: it may cancel against the harmonics.
 
 The outputs may know little of what happens in the joint: a further ``figure`` of a solution, such as its wear, may be
 asked to be as accurate as they are.
@@ -30,6 +30,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.inexact_step import solve_inexactly
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
@@ -44,7 +45,10 @@ RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
 MODES_DROPPED = 1 / 3
-RATE = 2.0  # the error falls at least like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead
+# The error falls like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead. With dashpots, beyond
+# the first set of harmonics, that is slower: with 1 / N for one mass, faster for most blocks and rows of masses.
+RATE, RATE_WITH_DASHPOTS = 2.0, 1.5
+FIRST_ORDER = 3  # highest harmonic up to which no springs are used: so few say little with them
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
@@ -71,13 +75,18 @@ class ErrorEstimate:
 
     @property
     def total(self) -> float:
-        """The whole: causes that are independent added up."""
-        return float(np.nanmax([self.harmonics, self.weight]) + np.nansum([self.samples, self.modes]))
+        """The whole: the causes added up."""
+        return float(np.nansum([self.harmonics, self.weight, self.samples, self.modes]))
+
+    @property
+    def truncation(self) -> float:
+        """What more harmonics would take away: what they leave out, and what the weight does."""
+        return float(self.harmonics + np.nan_to_num(self.weight))
 
     @property
     def dominating(self) -> str:
         """The knob that is to be raised first; more harmonics also take away what the weight does."""
-        errors = {"harmonics": np.nanmax([self.harmonics, self.weight]), "samples": self.samples, "modes": self.modes}
+        errors = {"harmonics": self.truncation, "samples": self.samples, "modes": self.modes}
         return max(errors, key=lambda name: -1.0 if np.isnan(errors[name]) else errors[name])
 
 
@@ -183,7 +192,7 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     What springs leave is small and seen from further off: with twice the harmonics, and dashpots.
     """
     highest = problem.basis.orders[-1]
-    sprung = holds_springs(problem)
+    sprung = "springs" in name_closures(problem)
     added = highest if sprung else highest // 2 + 1
     raised = highest + max(added, LEAST_LOOKAHEAD - 1)
     # a number leaves out what is zero by symmetry, a list does not
@@ -242,14 +251,14 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
 
     Where one Newton step tells of far more than the accuracy, or far less, that is all. Else a second one on the same
     problem follows: it is mostly closer to the true error, and half of what it changed is added for what further steps
-    would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^RATE`` of the error, and its
+    would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the error, and its
     whole is returned.
     """
     raised, top = look_ahead(solution)
     ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
     if ahead is None:
         return np.inf
-    seen = 1 - (solution.orders[-1] / max(1, top)) ** RATE
+    seen = 1 - (solution.orders[-1] / max(1, top)) ** find_rate(solution.problem)
     first = measure_step(solution, ahead, figure) / seen
     if first > CLEAR * accuracy or CLEAR * first < accuracy:
         return first
@@ -257,9 +266,17 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
     return second + abs(second - first) / 2
 
 
-def holds_springs(problem: ContactProblem) -> bool:
-    """Whether springs close the truncation at any pair."""
-    return problem.has_springs and any(isinstance(law, SprungCoulomb) for law in problem.system.laws)
+def find_rate(problem: ContactProblem) -> float:
+    """Exponent by which the error falls with the highest harmonic."""
+    rubs = any(law.direction == "tangential" and hasattr(law, "rho") for law in problem.system.laws)
+    dashpots = rubs and problem.basis.orders[-1] > FIRST_ORDER and "springs" not in name_closures(problem)
+    return RATE_WITH_DASHPOTS if dashpots else RATE
+
+
+def name_closures(problem: ContactProblem) -> tuple[str, ...]:
+    """What closes the truncation at any pair, but for dashpots: ``"springs"``, ``"masses"``, both or neither."""
+    kinds = {"springs": SprungCoulomb, "masses": InertialCoulomb} if problem.has_springs else {}
+    return tuple(n for n, kind in kinds.items() if any(isinstance(law, kind) for law in problem.system.laws))
 
 
 def estimate_samples(solution: PeriodicSolution, figure: Figure | None = None) -> float:

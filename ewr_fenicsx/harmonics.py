@@ -134,6 +134,30 @@ class FourierBasis:
         stretches[:, column, place] = held, read
         return np.matmul(stretches[0].transpose(0, 2, 1), stretches[1])
 
+    def accumulation(self, weights: RealArray, kept: RealArray) -> RealArray:
+        """Matrices of "multiply by a weight in time, gather momentum by that, project its change and its mean".
+
+        The momentum is ``u_i = kept_i u_(i-1) + weight_i x_i``, periodic; where nothing is ever lost, it begins with
+        none. What is projected is ``u_i - u_(i-1)``, and the mean of ``u`` over the number of samples.
+
+        Args:
+            weights: ``(n_t, m)``.
+            kept: ``(n_t, m)`` from 0 to 1.
+
+        Returns:
+            ``(m, n_c, n_c)`` real matrices on real coefficients.
+        """
+        gathered, share, reach = weights.T[:, :, None] * self._synthesis, kept.T[:, :, None].copy(), 1
+        while reach < self.samples:  # by all samples of the period up to each
+            gathered[:, reach:] += share[:, reach:] * gathered[:, :-reach]
+            share[:, reach:] = share[:, reach:] * share[:, :-reach]
+            reach *= 2
+        left = 1.0 - share[:, -1]
+        start = gathered[:, -1] / np.where(left > 0, left, np.inf)
+        gathered += share * start[:, None]
+        change = gathered - np.roll(gathered, 1, axis=1) + gathered.mean(axis=1, keepdims=True) / self.samples
+        return self._analysis @ change
+
     @cached_property
     def _running_analysis(self) -> RealArray:
         """Sums of the rows of the analysis up to each sample, ``(n_t + 1, n_c)``."""

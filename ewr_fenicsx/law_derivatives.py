@@ -27,6 +27,7 @@ class Derivative:
     variable: Variable
     values: RealArray  # (n_t, K)
     since: np.ndarray | None = None  # (n_t, K) sample of which value times variable counts, -1: none; None: its own
+    kept: np.ndarray | None = None  # (n_t, K) share of a momentum that is kept, as in Partial
 
     @property
     def by_force(self) -> bool:
@@ -34,20 +35,27 @@ class Derivative:
         return self.variable in ("force", "force_rate")
 
     @property
-    def by_rate(self) -> bool:
-        """By a derivative in time."""
-        return self.variable in ("velocity", "force_rate")
+    def rates(self) -> int:
+        """How often the force or motion is differentiated in time."""
+        return {"velocity": 1, "force_rate": 1, "acceleration": 2}.get(self.variable, 0)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it reaches back to other samples."""
+        return self.since is not None or self.kept is not None
 
     @property
     def blind_to_mean(self) -> bool:
         """By a motion without its mean."""
-        return self.variable in ("velocity", "oscillation")
+        return self.variable in ("velocity", "oscillation", "acceleration")
 
     @cached_property
     def changes(self) -> np.ndarray:
         """``(K,)`` whether the derivative differs from sample to sample, or reaches back to another."""
         if self.since is not None:
             return np.any(self.since >= 0, axis=0)
+        if self.kept is not None:
+            return np.any(self.values != 0, axis=0)
         return np.any(self.values != self.values[0], axis=0)
 
 
@@ -75,9 +83,9 @@ def project_derivatives(
     """
     sums: dict[tuple[bool, bytes, bytes], ProjectedDerivative] = {}
     for d, matrices in zip(derivatives, _project_products(derivatives, basis), strict=True):
-        if d.by_rate:
+        for _ in range(d.rates):
             matrices = basis.differentiate_columns(matrices, omega)
-        elif d.blind_to_mean and basis.has_mean:
+        if d.blind_to_mean and basis.has_mean:
             matrices[:, :, 0] = 0.0
         if basis.has_mean:
             matrices[:, 0] *= static_row[d.rows, None]
@@ -94,16 +102,18 @@ def project_derivatives(
 
 def _project_products(derivatives: Sequence[Derivative], basis: FourierBasis) -> Iterator[RealArray]:
     """``(K, n_c, n_c)`` of each derivative: "multiply by it, then project". What changes over time is done at once."""
-    changing = [d.values[:, d.changes] for d in derivatives if d.since is None]
+    changing = [d.values[:, d.changes] for d in derivatives if not d.remembers]
     products = basis.multiplication(np.concatenate([np.zeros((basis.samples, 0)), *changing], axis=1))
     first, order = 0, np.arange(basis.coefficients)
     for d in derivatives:
         matrices = np.zeros((d.rows.size, order.size, order.size))
-        if d.since is None:
+        if not d.remembers:
             last = first + np.count_nonzero(d.changes)
             matrices[:, order, order] = d.values[0][:, None]
             matrices[d.changes] = products[first:last]
             first = last
-        else:
+        elif d.since is not None:
             matrices[d.changes] = basis.recollection(d.values[:, d.changes], d.since[:, d.changes])
+        else:
+            matrices[d.changes] = basis.accumulation(d.values[:, d.changes], d.kept[:, d.changes])
         yield matrices

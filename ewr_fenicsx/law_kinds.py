@@ -22,7 +22,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 
 Side = Literal["normal", "tangential"]
-Variable = Literal["force", "force_rate", "displacement", "oscillation", "velocity"]
+Variable = Literal["force", "force_rate", "displacement", "oscillation", "velocity", "acceleration"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +57,25 @@ class Motion(NamedTuple):
     velocity: Mapping[str, RealArray]  # [m/s]
     force_rate: Mapping[str, RealArray] = MappingProxyType({})  # [N/s]
     oscillation: Mapping[str, RealArray] = MappingProxyType({})  # displacement less its mean [m]
+    acceleration: Mapping[str, RealArray] = MappingProxyType({})  # [m/s^2]
 
 
 class Partial(NamedTuple):
-    """One partial derivative of a law's residual, sample by sample."""
+    """One partial derivative of a law's residual, sample by sample; of a law that remembers, it may reach back.
+
+    Attributes:
+        variable, direction: What it is by.
+        values: ``(n_t, K)``.
+        since: ``(n_t, K)`` sample ``j`` of which ``values[j]`` times the variable counts here, -1: none. None: its own.
+        kept: ``(n_t, K)`` share of a momentum kept from sample to sample, ``u_i = kept_i u_(i-1) + values_i x_i``, of
+            which ``u_i - u_(i-1)`` and the mean over the number of samples count here. None: there is none.
+    """
 
     variable: Variable
     direction: str
-    values: RealArray  # (n_t, K)
-    since: np.ndarray | None = None  # (n_t, K) j: values[j] times the variable at j counts here, -1: none; None: own
+    values: RealArray
+    since: np.ndarray | None = None
+    kept: RealArray | None = None
 
 
 class Response(NamedTuple):
@@ -127,8 +137,8 @@ class PairGroup:
         flexibility: Direction with an unknown force -> ``(K,)`` static flexibility [m/N].
         weight: Direction -> ``(K,)`` weight ``rho`` that the user chose, or the default: [N/m] on the normal
             displacement, [(m/s)/N] on tangential velocities.
-        closing: Tangential direction -> ``(K,)`` flexibility of the springs that close the truncation [m/N]; zero where
-            dashpots, the weights, do.
+        closing: Tangential direction -> ``(K,)`` flexibility of springs that close the truncation [m/N]; zero: none.
+        closing_mass: The same of masses [kg]. Where there are neither, dashpots, the weights, close it.
         clearance: ``(K,)`` initial gap plus wear [m].
         hangs_on_friction: Whether a floating body is held by nothing but friction.
     """
@@ -138,6 +148,7 @@ class PairGroup:
     flexibility: Mapping[str, RealArray]
     weight: Mapping[str, RealArray]
     closing: Mapping[str, RealArray]
+    closing_mass: Mapping[str, RealArray]
     clearance: RealArray
     hangs_on_friction: bool
 

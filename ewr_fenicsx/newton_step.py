@@ -54,7 +54,7 @@ class NewtonStep:
         balance, answer = self.balance, np.zeros(self.balance.rows)
         for d in self.derivatives:
             if not d.by_force:
-                rate = balance.compliance.omega if d.by_rate else 1.0
+                rate = balance.compliance.omega**d.rates
                 largest = rate * np.abs(d.values).max(axis=0) * balance.system.flexibility[d.columns]
                 np.maximum.at(answer, d.rows, largest)
         weight = np.tile(np.where(answer > 0, np.minimum(1.0, answer), 1.0), (len(balance.basis.orders), 1))

@@ -13,7 +13,7 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.floquet import find_growth, grows, tell_where_to
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.ignored import list_ignored
+from ewr_fenicsx.ignored import ignores_inertia, list_ignored
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
@@ -122,6 +122,11 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
+        if self._slips and ignores_inertia(self.problem):
+            lines.append(
+                "a mass rubs by itself, and dashpots stand for its inertia at the harmonics left out: few harmonics "
+                'may be off by tens of per cent; closure = "spring" takes the inertia'
+            )
         if self.rigid.size and walks(*self._pose(), DOUBTFUL):
             lines.append(MAY_WALK)
         if self.unstable:
@@ -178,6 +183,12 @@ class PeriodicSolution(PeriodicMotion):
     def touches(self) -> bool:
         """Whether pairs that may part ever close; True where none may part."""
         return not self._open or not all(np.all(state) for state in self._open)
+
+    @property
+    def _slips(self) -> bool:
+        """Whether any pair slips."""
+        seen = [fields for _, fields in self.law_fields(self.problem.basis)]
+        return any(np.any(fields["slipping"]) for fields in seen if "slipping" in fields)
 
     @cached_property
     def _open(self) -> list[np.ndarray]:

@@ -89,12 +89,13 @@ def see_between(system: ContactSystem, count: int) -> ContactSystem:
 def repeat(derivative: Derivative) -> Derivative:
     """A derivative over two periods that are alike; what reaches back to before the first counts from the second."""
     values, since = np.tile(derivative.values, (2, 1)), derivative.since
+    kept = None if derivative.kept is None else np.tile(derivative.kept, (2, 1))
     if since is not None:
         count = len(since)
         before = since > np.arange(count)[:, None]
         later = np.where(since < 0, since, since + count)
         since = np.vstack([np.where(before, later, since), np.where(before, since, later)])
-    return replace(derivative, values=values, since=since)
+    return replace(derivative, values=values, since=since, kept=kept)
 
 
 def find_sign(matrix: RealArray) -> int:

@@ -20,8 +20,10 @@ from ewr_fenicsx.estimates import (
     estimate_samples,
     estimate_together,
     estimate_weight,
+    find_rate,
     measure_distance,
     measure_step,
+    name_closures,
     raise_harmonics,
     step_towards,
     take_step,
@@ -61,7 +63,9 @@ def test_two_steps_on_all_knobs_at_once_are_within_a_factor_of_three(harmonics, 
     assert true / 3 < estimate_together(solution, true) < 3 * true
     raised = raise_harmonics(solution.problem)
     ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
-    one_step = measure_step(solution, ahead) / (1 - (harmonics / raised.basis.orders[-1]) ** 2)
+    one_step = measure_step(solution, ahead) / (
+        1 - (harmonics / raised.basis.orders[-1]) ** find_rate(solution.problem)
+    )
     for accuracy in (1e-3 * true, 1e3 * true):
         assert estimate_together(solution, accuracy) == one_step
     assert estimate_together(solution, true) != one_step
@@ -78,7 +82,7 @@ def test_a_harmonic_at_a_resonance_counts_however_far_off_it_is(harmonics):
     laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.2)
     solution = solve(ContactProblem(model, laws, top / (2 * np.pi * 17), harmonics))
     true = measure_distance(solution, solve(replace(solution.problem, harmonics=151, samples=2048)))
-    assert true / 1.5 < estimate_together(solution, true) < 1.5 * true
+    assert 0.9 * true < estimate_together(solution, true) < 2 * true
 
 
 def slide_under_a_moving_load(rng: np.random.Generator) -> ContactProblem:
@@ -97,17 +101,49 @@ def slide_under_a_moving_load(rng: np.random.Generator) -> ContactProblem:
 
 
 def test_sliders_under_moving_loads_are_nearly_always_as_accurate_as_asked():
-    """Errors that fall slowly: what the next harmonics alone change would pass for the whole error in 17 of 100."""
-    rng, missed, near = np.random.default_rng(4), [], []
+    """Their masses close the truncation; the truth is that of as many harmonics as leave dashpots off by up to 1 %."""
+    rng, missed, near, orders = np.random.default_rng(4), [], [], []
     for _ in range(24):
         problem = slide_under_a_moving_load(rng)
-        truth = solve(replace(problem, harmonics=127, samples=2048))
+        truth = solve(replace(problem, harmonics=127, samples=2048, closure="spring"))
+        assert name_closures(truth.problem) == ("masses",)
         for accuracy in (0.1, 0.03, 0.01):
             found = solve_to_accuracy(problem, accuracy)
+            assert found.reached
             true = measure_distance(found.solution, truth)
-            missed.append(found.reached and true > accuracy)
+            missed.append(true > accuracy)
             near.append(true / 5 < found.estimate.total < 5 * true)
-    assert np.mean(missed) < 0.1 and np.mean(near) >= 0.9
+            orders.append(found.solution.orders[-1])
+    assert not any(missed) and np.mean(near) >= 0.95 and np.median(orders) <= 8
+
+
+def turn_on_a_wall(pairs: int) -> ContactProblem:
+    """A block on springs that slides and turns on a wall: its pairs move each other, so that no mass is that of one."""
+    arms = np.linspace(-0.1, 0.1, pairs)
+    model = ReducedModel(
+        mass=np.diag([1.0, 4e-3]),
+        damping=np.diag([0.02, 8e-5]),
+        stiffness=np.diag([1.0, 6e-3]),
+        tangential=np.column_stack([np.ones(pairs), arms]),
+        load={1: [1.0, 0.04]},
+        outputs={"x": [1.0, 0.0], "edge": [0.0, 0.1]},
+    )
+    return ContactProblem(model, ContactLaws("prescribed", normal_force=1.0 / pairs, friction=0.5), 0.17)
+
+
+def test_pairs_that_move_each_other_are_nearly_always_as_accurate_as_asked():
+    """Dashpots close their truncation, and errors fall slowly: as if like the inverse square they would be missed."""
+    missed, usual = [], turn_on_a_wall(4)
+    for frequency in np.linspace(0.08, 0.3, 8):
+        problem = replace(usual, frequency=frequency)
+        truth = solve(replace(problem, harmonics=127, samples=2048))
+        for accuracy in (0.1, 0.03):
+            found = solve_to_accuracy(problem, accuracy)
+            assert found.reached and not name_closures(found.solution.problem)
+            true = measure_distance(found.solution, truth)
+            missed.append(true > accuracy)
+            assert true / 2 < found.estimate.total
+    assert np.mean(missed) < 0.1
 
 
 @pytest.mark.parametrize("enough", [200, 10**9])
@@ -178,9 +214,10 @@ def test_what_cannot_be_reached_is_said():
 
 
 def test_a_last_set_cut_short_by_a_limit_is_not_thought_worse_than_the_one_before():
-    """A slider under a load near its resonance: what harmonics 61 to 63 change tells little of those above."""
-    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.5)
-    found = solve_to_accuracy(ContactProblem(friction_oscillator(damping=0.02), laws, 0.17), 0.003)
+    """What the last two harmonics change tells little of those above."""
+    problem = turn_on_a_wall(4)
+    higher = [level.orders[-1] for level in solve_to_accuracy(problem, 0.003).levels]
+    found = solve_to_accuracy(problem, 0.003, highest=higher[-2] + 2)
     before, last = found.levels[-2:]
     assert before.orders[-1] < last.orders[-1] < 1.1 * before.orders[-1]
     assert last.estimate.total < 1.5 * before.estimate.total
@@ -348,16 +385,16 @@ def test_modes_are_raised_from_the_last_solution():
         return ContactProblem(drop_modes(full, range(6 + count, 14)), laws, 0.05), range(6, 6 + count)
 
     problem, modes = keep(1)
-    found = solve_to_accuracy(problem, 0.03, modes=modes, more_modes=keep)
+    found = solve_to_accuracy(problem, 0.05, modes=modes, more_modes=keep)
     assert found.reached and not found.limit
     assert asked == [1, 2, 4, 8], found.summary()
     assert [level.modes for level in found.levels][-1] == 8
     assert "modes raised from 1 to 8" in found.summary()
     truth = solve(ContactProblem(full, laws, 0.05, 120))
-    assert measure_distance(found.solution, truth) < 0.03
-    few = solve_to_accuracy(problem, 0.03, modes=modes)
+    assert measure_distance(found.solution, truth) < 0.05
+    few = solve_to_accuracy(problem, 0.05, modes=modes)
     assert "the 1 modes of the reduced model leave an error of" in few.limit
-    assert measure_distance(few.solution, truth) > 0.03, "or there was no need for more"
+    assert measure_distance(few.solution, truth) > 0.05, "or there was no need for more"
     raised = [
         level for level, before in zip(found.levels[1:], found.levels, strict=False) if level.modes > before.modes
     ]

@@ -8,13 +8,15 @@ The friction force is then a square wave, harmonics ``4 F / (m pi)``, m odd, and
 Rate: the velocity lacks the tail of ``sum 4 F / (pi m^2)`` over m odd above N, about ``2 F / (pi N)`` at the instant
 where it should vanish. Friction reverses where the truncated velocity does, so its phase, and with it the amplitude,
 is off by a term in 1/N. The penalty ``1 / rho`` of the friction law adds to the ringing: a smaller rho is more
-accurate.
+accurate. Where the mass itself closes the truncation (``inertial_coulomb.py``), friction reverses where the mass does,
+and the error is that of the tail of the displacement, ``1 / N^2``.
 
 Source: Den Hartog (1931), Trans. ASME 53, APM-53-9, "Forced vibrations with combined Coulomb and viscous friction".
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -105,6 +107,21 @@ def test_a_smaller_rho_is_more_accurate(beta, friction, amplitude, boundary, all
 def test_default_weight_converges_too(beta, friction, amplitude, boundary, allowed):
     assert amplitude_error(beta, friction, 31, None) < 2.2 * allowed
     assert amplitude_error(beta, friction, 31, None) < 0.5 * amplitude_error(beta, friction, 7, None)
+
+
+@rows
+def test_its_own_mass_closes_the_truncation(beta, friction, amplitude, boundary, allowed):
+    """The error is then a term in 1/N^2, and below a tenth of the dashpots'."""
+    orders, errors = np.array([7, 15, 31, 63]), []
+    for highest in orders:
+        problem = rub(beta, friction, 7).problem
+        kept = tuple(range(1, highest + 1, 2))
+        closed = solve(replace(problem, harmonics=kept, samples=64 * highest, rho_tangential=None, closure="spring"))
+        errors.append(abs(largest_slip(closed) / exact_amplitude(beta, friction) - 1))
+    assert errors[0] < 0.13 * amplitude_error(beta, friction, 7)
+    assert errors[2] < 0.1 * allowed
+    rate = -np.polyfit(np.log(orders), np.log(errors), 1)[0]
+    assert 1.7 < rate < 2.4, errors
 
 
 @rows

@@ -1,0 +1,169 @@
+"""Masses that rub: their periodic slide, its derivatives, and where they close the truncation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_models import dovetail, friction_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.closure import find_masses
+from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.harmonics import select_basis
+from ewr_fenicsx.inertial_coulomb import InertialCoulomb, slide
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def draw_period(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A drive and a limit of three masses, which is zero at times; the mean drive is within the mean limit."""
+    rng = np.random.default_rng(seed)
+    samples = int(rng.integers(8, 60))
+    tau = 2 * np.pi * np.arange(samples)[:, None] / samples
+    drive = sum(rng.normal(size=3) * np.cos(h * tau + rng.uniform(0, 6, 3)) for h in (1, 2, 3))
+    limit = rng.uniform(0.1, 2.0, 3) * (1 + rng.uniform(0, 1.5, 3) * np.cos(tau + rng.uniform(0, 6, 3)))
+    limit = np.maximum(0.0, limit)
+    return drive + rng.uniform(-0.9, 0.9) * limit.mean(axis=0), limit
+
+
+def march(drive: np.ndarray, limit: np.ndarray, steps: int, periods: int) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum after each sample's interval and mean friction during it, by ``steps`` implicit steps an interval."""
+    momentum, periodic = np.zeros(3), []
+    for _ in range(periods):
+        periodic = []
+        for g, c in zip(drive, limit, strict=True):
+            begin = momentum
+            for _ in range(steps):
+                free = momentum + g / steps
+                momentum = np.sign(free) * np.maximum(0.0, np.abs(free) - c / steps)
+            periodic.append((momentum, momentum - begin - g))
+    return tuple(np.array(part) for part in zip(*periodic, strict=True))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_slide_is_where_many_small_steps_end(seed):
+    drive, limit = draw_period(seed)
+    found = slide(drive, limit)
+    assert not found.driven_off.any()
+    momentum, friction = march(drive, limit, 400, 60)
+    size = np.abs(drive).max()
+    np.testing.assert_allclose(found.momentum, momentum, atol=0.02 * size)
+    force = found.momentum - np.roll(found.momentum, 1, axis=0) - drive
+    np.testing.assert_allclose(force, friction, atol=0.02 * size)
+
+
+@given(seeds)
+def test_friction_is_within_its_limit_and_against_the_slide(seed):
+    drive, limit = draw_period(seed)
+    found = slide(drive, limit)
+    after = found.momentum
+    before, rounding = np.roll(after, 1, axis=0), 1e-10 * np.abs(drive).max()
+    force = np.where(found.driven_off, -found.driven_off * limit, after - before - drive)
+    assert np.all(np.abs(force) <= limit + rounding)
+    slides = before * after > 0
+    np.testing.assert_allclose(force[slides], (-np.sign(after) * limit)[slides], atol=rounding)
+    rests = (before == 0) & (after == 0)
+    np.testing.assert_allclose(force[rests], -drive[rests], atol=rounding)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_is_pushed_harder_than_friction_holds_is_driven_off(way):
+    drive, limit = way * (1.2 + np.sin(np.arange(32))[:, None]), np.ones((32, 1))
+    found = slide(drive, limit)
+    np.testing.assert_array_equal(found.driven_off, [way])
+    assert slide(0.5 * drive, limit).driven_off == 0
+
+
+@given(seeds)
+def test_matrices_of_a_gathered_momentum(seed):
+    rng = np.random.default_rng(seed)
+    basis = select_basis((0, 1, 3), 16)
+    weights = rng.normal(size=(16, 2))
+    kept = np.where(rng.random((16, 2)) < 0.3, rng.random((16, 2)), 1.0)
+    kept[rng.integers(16)] = 0.0
+    found = basis.accumulation(weights, kept)
+    for k in range(2):
+        for j, unit in enumerate(np.eye(basis.coefficients)):
+            product = weights[:, k] * basis.synthesise(basis.to_amplitudes(unit[:, None]))[:, 0]
+            gathered, total = [], 0.0
+            for i in range(2 * 16):
+                total = kept[i % 16, k] * total + product[i % 16]
+                gathered.append(total)
+            once = np.array(gathered[16:])
+            counts = once - np.roll(once, 1) + once.mean() / 16
+            np.testing.assert_allclose(found[k][:, j], basis.project(counts[:, None])[:, 0], atol=1e-12)
+
+
+def rub_under_moving_forces(**settings) -> ContactProblem:
+    """Two masses that a spring joins, each rubbing under a force that moves, with mean loads."""
+    stiffness = np.array([[3.0, -1.0], [-1.0, 2.0]])
+    model = ReducedModel(
+        mass=np.diag([1.0, 2.0]),
+        damping=0.05 * stiffness,
+        stiffness=stiffness,
+        tangential=np.eye(2),
+        load={0: [0.3, -0.2], 1: [1.0, 0.4j], 2: [0.3, 0.1]},
+        outputs={"first": [1.0, 0.0], "second": [0.0, 1.0]},
+    )
+    laws = ContactLaws("prescribed", friction=0.5, normal_force={0: [1.0, 0.8], 1: [0.9j, 0.3]})
+    return ContactProblem(model, laws, settings.pop("frequency", 0.3), closure="spring", **settings)
+
+
+@pytest.mark.parametrize("size", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("harmonics", [5, (0, 1, 2, 5)])
+def test_the_jacobian_is_that_of_finite_differences(harmonics, size):
+    balance = HarmonicBalance(rub_under_moving_forces(harmonics=harmonics, samples=80).system, 1.0)
+    assert all(isinstance(law, InertialCoulomb) for law in balance.system.laws)
+    point = size * np.random.default_rng(0).normal(size=balance.size)
+    step = balance.linearise(point)
+    matrix, small = step.matrix(), 1e-7
+    moved = [balance.residual(point + small * e) - balance.residual(point - small * e) for e in np.eye(balance.size)]
+    np.testing.assert_allclose(matrix, np.array(moved).T / (2 * small), atol=1e-6 * np.abs(matrix).max())
+    right = np.linspace(-1.0, 1.0, balance.size)
+    np.testing.assert_allclose(step.solve(right), np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(step.multiply(right), matrix @ right, atol=1e-11 * np.abs(matrix).max())
+
+
+def test_masses_are_those_of_pairs_that_move_by_themselves():
+    mass = np.diag([2.0, 3.0])
+    model = ReducedModel(
+        mass, 0.01 * mass, np.array([[2.0, -1.0], [-1.0, 1.0]]), tangential=[[1.0, 0.0], [0.0, 1.0], [1.0, -1.0]]
+    )
+    np.testing.assert_allclose(find_masses(model, model.tangential[:2], 1.0, 9), [2.0, 3.0], rtol=0.02)
+    np.testing.assert_allclose(find_masses(model, model.tangential[2:], 1.0, 9), [1.2], rtol=0.02)
+    np.testing.assert_array_equal(find_masses(model, model.tangential[[0, 2]], 1.0, 9), 0.0)  # one moves the other
+    np.testing.assert_array_equal(find_masses(model, model.tangential[:2], 1e-3, 9), 0.0)  # springs hold them there
+    joint = dovetail()
+    np.testing.assert_array_equal(find_masses(joint, joint.tangential, 3000.0, 9), 0.0)
+
+
+def test_a_block_that_rubs_at_several_pairs_keeps_its_dashpots():
+    model = ReducedModel([[1.0]], [[0.01]], [[1.0]], tangential=[[1.0], [1.0]], load={1: [1.0]})
+    laws = ContactLaws("prescribed", normal_force=0.2, friction=0.5)
+    (law,) = ContactProblem(model, laws, 0.3, 9, closure="spring").system.laws
+    assert isinstance(law, Coulomb)
+
+
+def test_a_mass_that_sticks_is_at_rest_in_both_closures():
+    problem = ContactProblem(
+        friction_oscillator(), ContactLaws("prescribed", normal_force=2.0, friction=1.0), 0.3, 5, closure="spring"
+    )
+    masses, dashpots = solve(problem), solve(replace(problem, closure="dashpot"))
+    np.testing.assert_allclose(masses.forces, dashpots.forces, atol=1e-12)
+    assert masses.merit["J_T"] < 1e-12
+
+
+def test_dashpots_in_place_of_a_mass_are_told_of():
+    rub = ContactProblem(
+        friction_oscillator(damping=0.02), ContactLaws("prescribed", normal_force=0.7, friction=1.0), 0.2
+    )
+    said = 'closure = "spring"'
+    assert said in " ".join(solve(rub).cautions)
+    assert said not in " ".join(solve(replace(rub, closure="spring")).cautions)
+    stuck = replace(rub, laws=ContactLaws("prescribed", normal_force=1.3, friction=1.0))
+    assert said not in " ".join(solve(stuck).cautions)
