@@ -16,7 +16,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel
 
 Closure = Literal["dashpot", "spring"]
-ALIKE, ALONE = 1.3, 0.05  # a mass: how far it may vary over the harmonics left out; and how far others may move it
+ALIKE, ALONE = 2.0, 0.05  # of a mass: ratio by which it may vary over the harmonics left out; share that others move it
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
@@ -43,13 +43,17 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
         omega: Angular frequency of the first harmonic [rad/s].
         highest: Highest harmonic that is kept.
     """
-    rates = np.array(list_beyond(highest)) * omega
-    flexibility = np.array([receptance(model, rate, rows, rows.T) for rate in rates])
-    own = np.diagonal(flexibility, axis1=1, axis2=2)
+    beyond = np.array(list_beyond(highest))
+    own, rates = measure_beyond(model, rows, omega, beyond), beyond * omega
     mass = np.real(-1 / (own * rates[:, None] ** 2))
-    alike = (mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0))
-    coupling = (np.abs(flexibility).sum(axis=2) - np.abs(own)).max(axis=0)
-    return np.where(alike & (coupling < ALONE * np.abs(own).min(axis=0)), mass.mean(axis=0), 0.0)
+    alike = np.flatnonzero((mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0)))
+    found = np.zeros(len(rows))
+    if alike.size:
+        moved = np.array([receptance(model, rate, rows, rows[alike].T) for rate in rates])
+        others = np.abs(moved).sum(axis=1) - np.abs(own[:, alike])
+        alone = alike[np.all(others < ALONE * np.abs(own[:, alike]), axis=0)]
+        found[alone] = mass[:, alone].mean(axis=0)
+    return found
 
 
 def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: Sequence[int]) -> ComplexArray:

@@ -288,9 +288,10 @@ def build_laws(
     rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
-    closing = {d: choose_closing(problem, pairs, layout, at, own[d]) for d, at in rows.items() if d != "normal"}
-    masses = {d: choose_closing_mass(problem, pairs, layout, d, springs > 0) for d, springs in closing.items()}
-    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, problem.clearance[pairs], rubs_to_hold)
+    masses = {d: choose_closing_mass(problem, pairs, layout, d) for d in rows if d != "normal"}
+    closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
+    clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
+    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
     return laws.build(group)
 
 
@@ -321,17 +322,13 @@ def choose_closing(
     return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
 
 
-def choose_closing_mass(
-    problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str, bends: np.ndarray
-) -> RealArray:
-    """``(K,)`` masses that close the truncation at a group of pairs, zero where it ``bends`` and for dashpots [kg]."""
-    highest = problem.basis.orders[-1]
-    if not (isinstance(problem.closure, str) and problem.has_springs and highest) or np.all(bends):
-        return np.zeros(pairs.size)
-    at = layout.index[direction]
+def choose_closing_mass(problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str) -> RealArray:
+    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg]."""
+    highest, at = problem.basis.orders[-1], layout.index[direction]
     masses = np.zeros(at.size)
-    masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, highest)
-    return np.where(bends, 0.0, masses[pairs])
+    if isinstance(problem.closure, str) and problem.has_springs and highest:
+        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, highest)
+    return masses[pairs]
 
 
 def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance: DynamicCompliance) -> bool:

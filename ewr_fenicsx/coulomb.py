@@ -8,6 +8,7 @@ Source: the equality-based form of the projections of Alart & Curnier (1991), do
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class DryFriction(LawKind):
         closures = (
             (Coulomb, group.weight["tangential"], (closing <= 0) & (masses <= 0)),
             (SprungCoulomb, closing, closing > 0),
-            (InertialCoulomb, masses, masses > 0),
+            (partial(InertialCoulomb, period=group.period), masses, masses > 0),
         )
         laws = []
         for kind, given, picked in closures:

@@ -141,17 +141,12 @@ class FrequencyResponse:
         return gather_figure(self.solutions, name)
 
     def table(self) -> dict[str, RealArray]:
-        """Column -> ``(n,)``: frequency, every output's harmonics, figures of merit, instability, Newton steps.
+        """Column -> ``(n,)``: frequency, figures of merit, instability, Newton steps, and every output's harmonics.
 
         Figures that none of the laws concerns are left out. Harmonic h of an output is
         ``Re((re + i im) exp(i h omega t))``.
         """
         columns = {"frequency [Hz]": self.frequencies}
-        for name in self.solutions[0].problem.model.outputs if self.solutions else ():
-            for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
-                columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
-                columns[f"re {name} harmonic {h}"] = amplitude.real
-                columns[f"im {name} harmonic {h}"] = amplitude.imag
         if self.solutions:
             columns |= {name: self.figure(name) for name in list_figures(self.solutions[0])}
         columns["unstable"] = self.unstable.astype(int)
@@ -160,6 +155,11 @@ class FrequencyResponse:
         if self.accurate:
             columns["estimate"] = np.array([found.estimate.total for found in self.accurate])
             columns["highest_harmonic"] = np.array([s.orders[-1] for s in self.solutions])
+        for name in self.solutions[0].problem.model.outputs if self.solutions else ():
+            for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
+                columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
+                columns[f"re {name} harmonic {h}"] = amplitude.real
+                columns[f"im {name} harmonic {h}"] = amplitude.imag
         return columns
 
     def write_csv(self, path: str | Path) -> None:

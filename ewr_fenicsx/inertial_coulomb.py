@@ -112,6 +112,7 @@ class InertialCoulomb(Law):
         friction: ``(K,)`` coefficients of friction ``mu``.
         mass: ``(K,)`` of each pair at the harmonics left out, positive [kg].
         static_row, static_force_row, static_displacement_row: As in ``Coulomb``.
+        period: Of the motion [s].
     """
 
     pairs: np.ndarray
@@ -121,6 +122,7 @@ class InertialCoulomb(Law):
     static_force_row: float
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
+    period: float = 0.0
 
     def run(self, motion: Motion) -> tuple[Slide, RealArray]:
         """How the masses slide, and the admissible friction force ``(n_t, K)`` [N]."""
@@ -152,4 +154,11 @@ class InertialCoulomb(Law):
     def fields(self, motion: Motion) -> dict[str, RealArray]:
         found, force = self.run(motion)
         rests = (found.momentum == 0) & (np.roll(found.momentum, 1, axis=0) == 0)
-        return {"admissible_friction_force": force, "slipping": ~rests}
+        moved = found.momentum * (self.period / len(force)) ** 2 / self.mass  # from one interval's middle to the next
+        off = found.driven_off != 0
+        own = motion.displacement["tangential"]
+        return {
+            "admissible_friction_force": force,
+            "slipping": ~rests,
+            "surface_slip": np.where(off, own, np.roll(moved, 1, axis=0).cumsum(axis=0)),
+        }

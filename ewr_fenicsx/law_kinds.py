@@ -140,6 +140,7 @@ class PairGroup:
         closing: Tangential direction -> ``(K,)`` flexibility of springs that close the truncation [m/N]; zero: none.
         closing_mass: The same of masses [kg]. Where there are neither, dashpots, the weights, close it.
         clearance: ``(K,)`` initial gap plus wear [m].
+        period: Of the motion [s]; 0 where nothing oscillates.
         hangs_on_friction: Whether a floating body is held by nothing but friction.
     """
 
@@ -150,6 +151,7 @@ class PairGroup:
     closing: Mapping[str, RealArray]
     closing_mass: Mapping[str, RealArray]
     clearance: RealArray
+    period: float
     hangs_on_friction: bool
 
     def spread(self, value: float | RealArray) -> RealArray:
