@@ -59,6 +59,13 @@ def rub(beta: float, friction: float) -> Iterator[Row]:
     yield compare("friction work a cycle", 4 * friction * exact, solution.merit["friction_dissipation"])
 
 
+def rub_with_inertia(beta: float, friction: float) -> Iterator[Row]:
+    """Amplitude and sliding a cycle of the dry oscillator whose mass closes the truncation."""
+    solution, exact = den_hartog.rub_with_inertia(beta, friction, ORDER), den_hartog.exact_amplitude(beta, friction)
+    yield compare("amplitude", exact, den_hartog.largest_slip(solution))
+    yield compare("sliding a cycle", 4 * exact, solution.merit["J_T"])
+
+
 def drive_jenkins(amplitude: float) -> Iterator[Row]:
     """Work a cycle and equivalent stiffness of the Jenkins element."""
     jenkins.drive.cache_clear()
@@ -212,6 +219,10 @@ SECTIONS: dict[str, list[Case]] = {
     "Harmonic balance against closed forms": [
         *(
             (f"Den Hartog, beta = {beta}, x_f / a = {share}", rub, (beta, share))
+            for beta, share, *_ in den_hartog.TABLE
+        ),
+        *(
+            (f"Den Hartog, beta = {beta}, x_f / a = {share}, closed by the mass", rub_with_inertia, (beta, share))
             for beta, share, *_ in den_hartog.TABLE
         ),
         *((f"Jenkins element, X = {amplitude}", drive_jenkins, (amplitude,)) for amplitude in jenkins.AMPLITUDES[1:]),
