@@ -134,9 +134,8 @@ def list_settings(
             settings.append(Setting("N, rho_T by mobility", n, matched))
             lean = replace(matched, samples=choose_samples(n, 8.0))
             settings.append(Setting("N, rho_T by mobility, 8 N samples", n, lean))
-            sprung = replace(posed, closure="spring")
-            if name_closures(sprung):
-                settings.append(Setting("N, springs", n, sprung))
+            closed = replace(posed, closure="spring")
+            settings += [Setting(f"N, {closure}", n, closed) for closure in name_closures(closed)[:1]]
     odd = lambda n: tuple(h for h in range(n + 1) if h % 2 or h in problem.loads or h == 0)  # noqa: E731
     settings += [Setting("N, odd harmonics only", n, replace(usual, harmonics=odd(n))) for n in low if n > 2]
     counts = dict.fromkeys([2 * fixed + 1, 3 * fixed, 4 * fixed, 8 * fixed, 16 * fixed, 32 * fixed, 64 * fixed])
