@@ -25,7 +25,6 @@ from ewr_fenicsx.estimates import (
     estimate_weight,
     find_rate,
     measure_distance,
-    name_closures,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.newton import solve
@@ -86,7 +85,7 @@ class AccurateSolution:
         first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
         parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
         shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
-        closures, count = " and ".join(name_closures(self.solution.problem)), len(self.levels)
+        closures, count = " and ".join(self.solution.problem.system.closures), len(self.levels)
         closed = f" closed by {closures}" if closures else ""
         lines = [
             f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
@@ -180,7 +179,7 @@ def solve_to_accuracy(
         except NotConverged as error:
             if chosen:
                 damped = top  # dashpots are sturdier; springs that found nothing are not tried again
-                springs = "springs" not in name_closures(posed)
+                springs = "springs" not in posed.system.closures
                 continue
             if not levels:
                 raise
@@ -270,7 +269,7 @@ def pose_level(
         return posed
     posed = use_mobility(posed)
     closed = replace(posed, closure="spring")
-    closures = name_closures(closed) if springs else ()
+    closures = closed.system.closures if springs else ()
     return closed if closures and (top > FIRST_ORDER or "springs" not in closures) else posed
 
 
@@ -312,7 +311,7 @@ def judge(
     level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
-    closures = {name_closures(s.problem) for s in (before, solution) if s is not None}
+    closures = {s.problem.system.closures for s in (before, solution) if s is not None}
     closed_alike = before is not None and closures in ({()}, {("masses",)})
     if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
         error = measure_distance(before, solution, figure) / (max(growth, GROWTH[0]) ** find_rate(solution.problem) - 1)

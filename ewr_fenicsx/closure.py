@@ -15,7 +15,7 @@ from ewr_fenicsx.compliance import find_normal_modes, receptance
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel
 
-Closure = Literal["dashpot", "spring"]
+Closure = Literal["mass", "dashpot", "spring"]
 ALIKE, ALONE = 2.0, 0.05  # of a mass: ratio by which it may vary over the harmonics left out; share that others move it
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 

@@ -45,11 +45,12 @@ class ContactProblem:
         samples: Samples a period for the laws; None: 32 a highest harmonic or more (a power of two), at least 128.
         rho_normal: Weight of the normal law [N/m], scalar or ``(K_c,)``; None: 10 / static flexibility of each pair.
         rho_tangential: Weight of the friction law [(m/s)/N]; None: omega * static flexibility of each pair.
-        closure: What stands for the harmonics left out in Coulomb's law: ``"dashpot"``, ``v = rho_tangential lam``;
-            ``"spring"``, ``q = d lam`` with each pair's own flexibility beyond the highest harmonic, and the mass of
-            pairs that move by themselves as one; or ``(K_c,)`` such flexibilities ``d`` [m/N], zero for dashpots.
-            Springs are mostly more accurate at the same harmonics, and masses by far. Friction in a plane (two tangents
-            a pair) keeps its dashpots, and so do rigid bodies that rub at several pairs.
+        closure: What stands for the harmonics left out in Coulomb's law: ``"mass"``, the inertia of pairs that move by
+            themselves as a mass, and at other pairs, or with a ``rho_tangential``, as with the next one; ``"dashpot"``,
+            ``v = rho_tangential lam``; ``"spring"``, masses, and ``q = d lam`` with each pair's own flexibility beyond
+            the highest harmonic where it is elastic; or ``(K_c,)`` such flexibilities ``d`` [m/N], zero for dashpots.
+            Springs are mostly more accurate at the same harmonics than dashpots, masses by far. Friction in a plane
+            (two tangents a pair) keeps its dashpots.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.
@@ -66,7 +67,7 @@ class ContactProblem:
     samples: int | None = None
     rho_normal: float | RealArray | None = None
     rho_tangential: float | RealArray | None = None
-    closure: Closure | RealArray = "dashpot"
+    closure: Closure | RealArray = "mass"
     load: Mapping[int, ComplexArray] | None = field(default=None, repr=False)
     wear: RealArray | None = field(default=None, repr=False)
     generalised_inverse: GeneralisedInverse = field(default="inertia relief", repr=False)
@@ -125,8 +126,14 @@ class ContactProblem:
 
     @property
     def has_springs(self) -> bool:
-        """Whether springs or masses rather than dashpots may stand for the harmonics left out."""
-        return not (isinstance(self.closure, str) and self.closure == "dashpot")
+        """Whether springs may stand for the harmonics left out."""
+        return not isinstance(self.closure, str) or self.closure == "spring"
+
+    @property
+    def has_masses(self) -> bool:
+        """Whether masses may: not in place of a weight that is given."""
+        named = self.closure if isinstance(self.closure, str) else ""
+        return named == "spring" or (named == "mass" and self.rho_tangential is None)
 
     @property
     def omega(self) -> float:
@@ -288,7 +295,7 @@ def build_laws(
     rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
-    masses = {d: choose_closing_mass(problem, pairs, layout, d) for d in rows if d != "normal"}
+    masses = {d: choose_closing_mass(problem, pairs, layout, d, rubs_to_hold) for d in rows if d != "normal"}
     closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
     clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
     group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
@@ -322,11 +329,16 @@ def choose_closing(
     return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
 
 
-def choose_closing_mass(problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str) -> RealArray:
-    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg]."""
+def choose_closing_mass(
+    problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str, rubs_to_hold: bool
+) -> RealArray:
+    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
+
+    None where bodies hang on friction: dashpots tell whether these walk.
+    """
     highest, at = problem.basis.orders[-1], layout.index[direction]
     masses = np.zeros(at.size)
-    if isinstance(problem.closure, str) and problem.has_springs and highest:
+    if problem.has_masses and highest and not rubs_to_hold:
         masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, highest)
     return masses[pairs]
 

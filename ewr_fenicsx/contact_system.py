@@ -57,6 +57,11 @@ class ContactSystem:
         """Direction -> ``(K_c,)`` row of each pair, -1 where it has none."""
         return self.layout.index
 
+    @property
+    def closures(self) -> tuple[str, ...]:
+        """What closes the truncation at any pair, but for weights: ``"masses"``, ``"springs"``, both or neither."""
+        return tuple(sorted({law.closes for law in self.laws} - {""}))
+
     def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
         return self.layout.row_of(direction, pairs)

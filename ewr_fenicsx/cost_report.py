@@ -55,7 +55,6 @@ class CostReport:
             "N",
             "N, rho_T by mobility",
             "N, springs",
-            "N, masses",
             "samples",
             "rho_N over default",
             "rho_T over default",

@@ -30,11 +30,9 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.inexact_step import solve_inexactly
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 from ewr_fenicsx.symmetry import leave_out_idle
 from ewr_fenicsx.warm_starts import carry_over
 
@@ -192,7 +190,7 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     What springs leave is small and seen from further off: with twice the harmonics, and dashpots.
     """
     highest = problem.basis.orders[-1]
-    sprung = "springs" in name_closures(problem)
+    sprung = "springs" in problem.system.closures
     added = highest if sprung else highest // 2 + 1
     raised = highest + max(added, LEAST_LOOKAHEAD - 1)
     # a number leaves out what is zero by symmetry, a list does not
@@ -269,14 +267,8 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
 def find_rate(problem: ContactProblem) -> float:
     """Exponent by which the error falls with the highest harmonic."""
     rubs = any(law.direction == "tangential" and hasattr(law, "rho") for law in problem.system.laws)
-    dashpots = rubs and problem.basis.orders[-1] > FIRST_ORDER and "springs" not in name_closures(problem)
+    dashpots = rubs and problem.basis.orders[-1] > FIRST_ORDER and "springs" not in problem.system.closures
     return RATE_WITH_DASHPOTS if dashpots else RATE
-
-
-def name_closures(problem: ContactProblem) -> tuple[str, ...]:
-    """What closes the truncation at any pair, but for dashpots: ``"springs"``, ``"masses"``, both or neither."""
-    kinds = {"springs": SprungCoulomb, "masses": InertialCoulomb} if problem.has_springs else {}
-    return tuple(n for n, kind in kinds.items() if any(isinstance(law, kind) for law in problem.system.laws))
 
 
 def estimate_samples(solution: PeriodicSolution, figure: Figure | None = None) -> float:

@@ -138,7 +138,7 @@ class FourierBasis:
         """Matrices of "multiply by a weight in time, gather momentum by that, project its change and its mean".
 
         The momentum is ``u_i = kept_i u_(i-1) + weight_i x_i``, periodic; where nothing is ever lost, it begins with
-        none. What is projected is ``u_i - u_(i-1)``, and the mean of ``u`` over the number of samples.
+        none. What is projected is ``u_i - u_(i-1)``, and the mean of ``u`` times the angle between samples.
 
         Args:
             weights: ``(n_t, m)``.
@@ -155,7 +155,9 @@ class FourierBasis:
         left = 1.0 - share[:, -1]
         start = gathered[:, -1] / np.where(left > 0, left, np.inf)
         gathered += share * start[:, None]
-        change = gathered - np.roll(gathered, 1, axis=1) + gathered.mean(axis=1, keepdims=True) / self.samples
+        change = (
+            gathered - np.roll(gathered, 1, axis=1) + 2 * np.pi / self.samples * gathered.mean(axis=1, keepdims=True)
+        )
         return self._analysis @ change
 
     @cached_property

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.closure import find_masses
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.harmonics import sample_amplitudes
 from ewr_fenicsx.law_kinds import list_parameters
 
 SAMPLES = 1024  # a period, at which a given force is looked at
 ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pull is rounding
-
-
-def ignores_inertia(problem: ContactProblem) -> bool:
-    """Whether default dashpots close the truncation of masses that rub by themselves, far less well than these."""
-    system, highest = problem.system, problem.basis.orders[-1]
-    dashpots = any(isinstance(law, Coulomb) for law in system.laws)
-    if problem.has_springs or problem.rho_tangential is not None or not (dashpots and highest):
-        return False
-    rows = system.index["tangential"]
-    return bool(np.any(find_masses(system.model, system.rows[rows[rows >= 0]], problem.omega, highest)))
 
 
 def list_ignored(problem: ContactProblem) -> list[str]:

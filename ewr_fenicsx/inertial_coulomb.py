@@ -105,7 +105,7 @@ class InertialCoulomb(Law):
     """Dry friction in one tangential direction with the true, varying cone, closed by masses.
 
     Where a mass is not driven off, the residual is what its momentum lacks of the harmonics kept. Its mean, which would
-    vanish for any mean force, is the mean momentum, over the number of samples: the surfaces must not drift apart.
+    vanish for any mean force, is ``m omega`` times the mean velocity: the surfaces must not drift apart.
 
     Args:
         pairs: ``(K,)`` pairs governed.
@@ -123,6 +123,7 @@ class InertialCoulomb(Law):
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
     period: float = 0.0
+    closes: str = "masses"
 
     def run(self, motion: Motion) -> tuple[Slide, RealArray]:
         """How the masses slide, and the admissible friction force ``(n_t, K)`` [N]."""
@@ -135,7 +136,7 @@ class InertialCoulomb(Law):
     def evaluate(self, motion: Motion) -> Response:
         found, force = self.run(motion)
         off = found.driven_off != 0
-        drift = np.where(off, 0.0, found.momentum.mean(axis=0) / len(force))
+        drift = np.where(off, 0.0, 2 * np.pi / len(force) * found.momentum.mean(axis=0))
         by_drive, by_limit = (np.where(off, 0.0, part) for part in (found.by_drive, found.by_limit))
         closes = self.friction * (motion.force["normal"] > 0)
         ones = np.ones_like(force)

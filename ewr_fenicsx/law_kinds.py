@@ -68,7 +68,7 @@ class Partial(NamedTuple):
         values: ``(n_t, K)``.
         since: ``(n_t, K)`` sample ``j`` of which ``values[j]`` times the variable counts here, -1: none. None: its own.
         kept: ``(n_t, K)`` share of a momentum kept from sample to sample, ``u_i = kept_i u_(i-1) + values_i x_i``, of
-            which ``u_i - u_(i-1)`` and the mean over the number of samples count here. None: there is none.
+            which ``u_i - u_(i-1)`` and the mean times ``2 pi / n_t`` count here. None: there is none.
     """
 
     variable: Variable
@@ -98,6 +98,7 @@ class Law(Protocol):
         static_target: ``(K,)`` mean displacement at which the full-stick start holds the pair [m]; None: no mean force.
         stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
         linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
+        closes: What closes its truncation in place of a weight, ``"springs"`` or ``"masses"``; "": nothing does.
     """
 
     direction: str
@@ -108,6 +109,7 @@ class Law(Protocol):
     static_target: RealArray | None = None
     stick_flexibility: float | RealArray = 0.0
     linear: bool = False
+    closes: str = ""
 
     def evaluate(self, motion: Motion) -> Response:
         """Residual and generalised derivatives at every sample."""

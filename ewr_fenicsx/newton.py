@@ -200,7 +200,8 @@ def has_own_weights(problem: ContactProblem) -> bool:
 
 def use_default_weights(problem: ContactProblem) -> ContactProblem:
     """The problem with the weights and the closure that need the fewest steps; itself where it has these."""
-    if problem.rho_normal is None and problem.rho_tangential is None and not problem.has_springs:
+    own_closure = problem.has_springs or problem.system.closures
+    if problem.rho_normal is None and problem.rho_tangential is None and not own_closure:
         return problem
     return replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot")
 
@@ -299,7 +300,7 @@ def leave_default_weights(
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
     last = go_on_from(solution, balance, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations)
-    joined = not problem.has_springs and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
+    joined = not problem.system.closures and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
     if joined and not last.converged:
         last = walk_weights(balance, tolerance, usual.system, replace(found, iterations=last.iterations))
     if last.converged:

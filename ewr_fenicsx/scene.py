@@ -160,8 +160,8 @@ class Solver(Section):
     rho_tangential: Number | None = entry(
         None, "m/(N s)", "Weight rho_T of the friction law (`docs/method.md`); by default from the compliance.", gt=0
     )
-    closure: Literal["dashpot", "spring"] = entry(
-        "dashpot", "-", "What stands for the harmonics left out in Coulomb's law (`docs/method.md`)."
+    closure: Literal["mass", "dashpot", "spring"] = entry(
+        "mass", "-", "What stands for the harmonics left out in Coulomb's law (`docs/method.md`)."
     )
     tolerance: Number = entry(1e-8, "-", "Relative residual at which the solve ends.", ge=1e-13, le=1e-3)
 

@@ -10,16 +10,16 @@ import numpy as np
 
 from ewr_fenicsx import indicators
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.floquet import find_growth, grows, tell_where_to
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.ignored import ignores_inertia, list_ignored
+from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
+SETTLING, SETTLED = 8, 1e-8  # Newton steps to a solution next to this one, and their residual over its forces
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 
 
@@ -122,11 +122,6 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
-        if self._slips and ignores_inertia(self.problem):
-            lines.append(
-                "a mass rubs by itself, and dashpots stand for its inertia at the harmonics left out: few harmonics "
-                'may be off by tens of per cent; closure = "spring" takes the inertia'
-            )
         if self.rigid.size and walks(*self._pose(), DOUBTFUL):
             lines.append(MAY_WALK)
         if self.unstable:
@@ -156,18 +151,40 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def grows(self) -> bool:
         """Whether motions in time leave it without turning: looked at where ``side`` is negative."""
-        return self.side < 0 and grows(self._forgetful.system, self.forces, self.rigid) is not False
+        here = self._forgetful
+        return self.side < 0 and grows(here.problem.system, here.forces, here.rigid) is not False
 
     @cached_property
     def multiplier(self) -> complex:
         """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0. See ``floquet.py``."""
         looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
-        return find_growth(self._forgetful, self.forces, self.rigid, self.coordinates) if looked_at else 0.0
+        here = self._forgetful
+        return find_growth(here.problem, here.forces, here.rigid, here.coordinates) if looked_at else 0.0
 
     @cached_property
-    def _forgetful(self) -> ContactProblem:
-        """What was solved, with dashpots for springs, which remember."""
-        return replace(self.problem, closure="dashpot") if self.problem.has_springs else self.problem
+    def _forgetful(self) -> PeriodicSolution:
+        """The solution under laws that remember nothing: dashpots stand for springs and masses.
+
+        Where masses reverse, dashpots would at other samples: the motion is that to which Newton's method leads under
+        them, if it settles soon.
+        """
+        closures = self.problem.system.closures
+        if not closures:
+            return self
+        here = replace(self, problem=replace(self.problem, closure="dashpot"))
+        if "masses" not in closures:
+            return here
+        balance, unknowns = here._pose()
+        for _ in range(SETTLING):
+            step = balance.linearise(unknowns)
+            if np.linalg.norm(step.residual) < SETTLED:
+                forces, rigid = balance.unpack(unknowns)
+                return replace(here, forces=forces, rigid=rigid)
+            try:
+                unknowns = unknowns - step.solve(step.residual)
+            except np.linalg.LinAlgError:
+                break
+        return here
 
     @property
     def unstable(self) -> bool:
@@ -183,12 +200,6 @@ class PeriodicSolution(PeriodicMotion):
     def touches(self) -> bool:
         """Whether pairs that may part ever close; True where none may part."""
         return not self._open or not all(np.all(state) for state in self._open)
-
-    @property
-    def _slips(self) -> bool:
-        """Whether any pair slips."""
-        seen = [fields for _, fields in self.law_fields(self.problem.basis)]
-        return any(np.any(fields["slipping"]) for fields in seen if "slipping" in fields)
 
     @cached_property
     def _open(self) -> list[np.ndarray]:

@@ -79,6 +79,7 @@ class SprungCoulomb(Law):
     static_force_row: float
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
+    closes: str = "springs"
 
     def run(self, motion: Motion) -> Stop:
         """The admissible friction force, and since when each pair sticks."""

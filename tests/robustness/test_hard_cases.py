@@ -274,7 +274,8 @@ def test_redundant_pairs_next_to_a_resonance_act_as_one(friction, off):
             [[1.0]], [[1e-6]], [[1.0]], tangential=[[1.0]] * pairs, load={1: [1.0]}, outputs={"m": [1]}
         )
         laws = ContactLaws("prescribed", normal_force=2.0 / pairs, friction=friction)
-        return solve(ContactProblem(model, laws, (1 + off) / (2 * np.pi), (1, 3, 5))).output("m")
+        problem = ContactProblem(model, laws, (1 + off) / (2 * np.pi), (1, 3, 5), closure="dashpot")
+        return solve(problem).output("m")
 
     np.testing.assert_allclose(swing(2), swing(1), rtol=1e-6, atol=1e-9)
 

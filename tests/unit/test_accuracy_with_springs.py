@@ -12,7 +12,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_
 from ewr_fenicsx.accuracy import FIRST_ORDER
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.estimates import measure_distance, name_closures
+from ewr_fenicsx.estimates import measure_distance
 
 
 def rub_behind_springs(harmonics=5, load=1.0, **settings) -> ContactProblem:
@@ -46,7 +46,7 @@ def truth_behind_springs():
 def test_springs_close_the_truncation_where_joints_are_elastic(accuracy, truth_behind_springs):
     """From the second set of harmonics on, fewer of them do than with dashpots; the estimate is on the safe side."""
     found = solve_to_accuracy(rub_behind_springs(), accuracy)
-    assert found.reached and name_closures(found.solution.problem) == ("springs",)
+    assert found.reached and found.solution.problem.system.closures == ("springs",)
     assert "closed by springs" in found.summary()
     true = measure_distance(found.solution, truth_behind_springs)
     assert 0 < true <= accuracy and true / 2 < found.estimate.total <= accuracy
@@ -107,7 +107,7 @@ def test_a_set_of_harmonics_without_a_solution_is_passed_over(monkeypatch, truth
     found = solve_to_accuracy(rub_behind_springs(), 0.003)
     assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
     assert len(set(refused)) == 1 and found.levels[1].orders[-1] > refused[0]
-    assert "springs" in name_closures(found.solution.problem), "springs were not to blame"
+    assert "springs" in found.solution.problem.system.closures, "springs were not to blame"
 
 
 def test_where_more_harmonics_are_not_found_from_few_a_cold_start_may_find_them(monkeypatch, truth_behind_springs):

@@ -113,13 +113,12 @@ def test_factor_one_is_the_default_weight_on_every_flank():
             np.testing.assert_allclose(ours.rho, theirs.rho, rtol=1e-14)
 
 
-@pytest.mark.parametrize("mass, tried", [(1e-6, "N, springs"), (1.0, "N, masses")])
-def test_springs_and_masses_are_tried_where_they_act_only(mass, tried):
+@pytest.mark.parametrize("mass, tried", [(1e-6, True), (1.0, False)])
+def test_springs_are_tried_where_they_act_only(mass, tried):
     """A contact node nearly without mass gives way like a spring at high harmonics; one with mass does not."""
     model = friction_oscillator(mass=mass, damping=0.0, stiffness=1.0)
     problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0), 1.0)
-    knobs = {setting.knob for setting in list_settings(problem, (3, 5), fixed=3)}
-    assert knobs & {"N, springs", "N, masses"} == {tried}
+    assert tried == ("N, springs" in {s.knob for s in list_settings(problem, (3, 5), fixed=3)})
 
 
 def test_the_front_holds_what_nothing_beats():

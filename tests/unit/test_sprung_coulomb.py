@@ -101,7 +101,7 @@ def test_springs_are_for_pairs_that_bend():
 @pytest.mark.parametrize(
     ("closure", "told"),
     [
-        ("sprung", 'closure = "sprung"; choose one of dashpot, spring, or flexibilities.*spring'),
+        ("sprung", 'closure = "sprung"; choose one of mass, dashpot, spring, or flexibilities.*spring'),
         (-1e-9, "closure = -1e-09; flexibilities must be finite and not negative"),
         (np.inf, "closure = inf; flexibilities must be finite"),
         ([1e-9, 1e-9], "closure has 2 values for 6 pairs"),
