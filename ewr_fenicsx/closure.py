@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ewr_fenicsx.compliance import find_normal_modes, receptance
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel
 
@@ -43,11 +44,15 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
         omega: Angular frequency of the first harmonic [rad/s].
         highest: Highest harmonic that is kept.
     """
-    beyond = np.array(list_beyond(highest))
-    own, rates = measure_beyond(model, rows, omega, beyond), beyond * omega
+    found, beyond = np.zeros(len(rows)), np.array(list_beyond(highest))
+    try:
+        if np.all(measure_beyond(model, rows, omega, beyond[:1]).real >= 0):  # mostly: one harmonic tells
+            return found
+        own, rates = measure_beyond(model, rows, omega, beyond), beyond * omega
+    except ModelError:  # one hits an undamped mode exactly
+        return found
     mass = np.real(-1 / (own * rates[:, None] ** 2))
     alike = np.flatnonzero((mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0)))
-    found = np.zeros(len(rows))
     if alike.size:
         moved = np.array([receptance(model, rate, rows, rows[alike].T) for rate in rates])
         others = np.abs(moved).sum(axis=1) - np.abs(own[:, alike])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ewr_fenicsx.newton import has_own_weights
+from ewr_fenicsx.newton import went_back
 from ewr_fenicsx.symmetry import find_idle_harmonics
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def tell_sweep(curve: FrequencyResponse, problem: ContactProblem) -> list[str]:
     lost = int(curve.unstable.sum())
     lines += [f"  {lost} of them are unstable: no motion in time stays there"] if lost else []
     usual = count_default_weights(curve, problem)
-    lines += [f"  {usual} of them hold with the default weights and closure: those given led nowhere"] if usual else []
+    lines += [f"  {usual} of them hold with default weights and dashpots: others led nowhere"] if usual else []
     lines += [f"  no solution at {list_few(curve.missing, 'frequencies')} Hz"] if curve.missing else []
     return lines + [f"  jump from {j.frequency[0]:g} to {j.frequency[1]:g} Hz: {j.why}" for j in curve.jumps]
 
@@ -77,8 +77,8 @@ def list_few(values: Sequence[float], what: str) -> str:
 
 
 def count_default_weights(curve: FrequencyResponse, problem: ContactProblem) -> int:
-    """How many solutions of a curve have the default weights and closure in place of those that the problem gives."""
-    return sum(not has_own_weights(s.problem) for s in curve.solutions) if has_own_weights(problem) else 0
+    """How many solutions of a curve have default weights and dashpots in place of what the problem asks for."""
+    return 0 if went_back(problem) else sum(went_back(s.problem) for s in curve.solutions)
 
 
 def list_facts_of_sweep(curve: FrequencyResponse, problem: ContactProblem) -> dict[str, object]:

@@ -26,7 +26,7 @@ from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
-from ewr_fenicsx.newton import adopt_weights, has_own_weights, solve
+from ewr_fenicsx.newton import adopt_weights, solve, went_back
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, refine_points
@@ -353,8 +353,8 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
                 curve.extend(follower.follow(curve.points[-2:], [target]))
             here = curve.points[-1]
             same = [i for i, s in enumerate(part.points) if s.problem.frequency == here.problem.frequency]
-            own = has_own_weights(here.problem)  # one curve has either these or the default ones
-            meets = [i for i in same if agree(part.points[i], here) and has_own_weights(part.points[i].problem) == own]
+            usual = went_back(here.problem)  # one curve has either what was asked for or what was gone back to
+            meets = [i for i in same if agree(part.points[i], here) and went_back(part.points[i].problem) == usual]
             if meets:
                 ahead = [jump for jump in part.jumps if jump.frequency[1] > target]
                 curve.extend(Curve(part.points[meets[-1] + 1 :], ahead))

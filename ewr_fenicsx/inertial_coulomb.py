@@ -57,7 +57,12 @@ def slide(drive: RealArray, limit: RealArray) -> Slide:
 
 
 def _find_periodic(drive: list[float], limit: list[float]) -> tuple[list[tuple[float, ...]], float]:
-    """One mass: ``(momentum, kept, by_drive, by_limit)`` at every sample, and the way in which it is driven off."""
+    """One mass: ``(momentum, kept, by_drive, by_limit)`` at every sample, and the way in which it is driven off.
+
+    Without friction there is no momentum to find: it counts as driven off.
+    """
+    if not any(limit):
+        return _run_period(0.0, drive, limit), 1.0
     start, low, high = 0.0, -np.inf, np.inf
     small = ROUNDING * len(drive) * max(map(abs, (*drive, *limit)))
     for _ in range(ROUNDS):

@@ -75,7 +75,7 @@ def solve(
 
     Returns:
         The solution: motions, contact forces and figures of merit, and how it was found. Its ``problem`` has the
-        default weights and closure where none was found with those given; ``fallbacks`` says so.
+        default weights and dashpots where none was found with what it asks for; ``fallbacks`` says so.
 
     Raises:
         ModelError: ``start`` is no solution or has another number of pairs, the tolerance is out of bounds, or there is
@@ -199,11 +199,17 @@ def has_own_weights(problem: ContactProblem) -> bool:
 
 
 def use_default_weights(problem: ContactProblem) -> ContactProblem:
-    """The problem with the weights and the closure that need the fewest steps; itself where it has these."""
+    """The problem with default weights and dashpots, which need the fewest steps; itself where it has nothing else."""
     own_closure = problem.has_springs or problem.system.closures
     if problem.rho_normal is None and problem.rho_tangential is None and not own_closure:
         return problem
     return replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot")
+
+
+def went_back(problem: ContactProblem) -> bool:
+    """Whether a solution's problem is one that ``solve`` went back to by ``use_default_weights``, or was asked for."""
+    weights = problem.rho_normal is problem.rho_tangential is None
+    return weights and isinstance(problem.closure, str) and problem.closure == "dashpot"
 
 
 def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProblem:

@@ -37,7 +37,7 @@ class Attempt:
     """One run from one start: scaled unknowns, residual norm, Newton steps, and why it stopped.
 
     ``walks``: what it found is no periodic motion, and no other way to one is worth trying (``walking.py``).
-    ``usual``: what it found holds with the default weights and closure, in place of those that the problem gives.
+    ``usual``: what it found holds with default weights and dashpots, in place of what the problem asks for.
     """
 
     unknowns: RealArray

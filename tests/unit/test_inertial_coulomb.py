@@ -50,11 +50,11 @@ def test_a_slide_is_where_many_small_steps_end(seed):
     drive, limit = draw_period(seed)
     found = slide(drive, limit)
     assert not found.driven_off.any()
-    momentum, friction = march(drive, limit, 400, 60)
+    momentum, friction = march(drive, limit, 60, 25)
     size = np.abs(drive).max()
-    np.testing.assert_allclose(found.momentum, momentum, atol=0.02 * size)
+    np.testing.assert_allclose(found.momentum, momentum, atol=0.03 * size)
     force = found.momentum - np.roll(found.momentum, 1, axis=0) - drive
-    np.testing.assert_allclose(force, friction, atol=0.02 * size)
+    np.testing.assert_allclose(force, friction, atol=0.03 * size)
 
 
 @given(seeds)
@@ -77,6 +77,24 @@ def test_what_is_pushed_harder_than_friction_holds_is_driven_off(way):
     found = slide(drive, limit)
     np.testing.assert_array_equal(found.driven_off, [way])
     assert slide(0.5 * drive, limit).driven_off == 0
+
+
+def test_a_pair_that_is_open_throughout_has_no_friction():
+    """Whatever its mean: a mass that another load holds off the ground, and shakes."""
+    model = ReducedModel(
+        mass=np.eye(2),
+        damping=0.05 * np.eye(2),
+        stiffness=np.eye(2),
+        normal=[[0.0, 1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.4, 1.0], 1: [1.0, 0.2]},
+        outputs={"x": [1.0, 0.0]},
+    )
+    problem = ContactProblem(model, ContactLaws(friction=0.5), 0.3, 5)
+    assert problem.system.closures == ("masses",)
+    found = solve(problem)
+    np.testing.assert_allclose(found.forces, 0.0, atol=1e-7)
+    assert found.output("x")[0] == pytest.approx(0.4, abs=1e-7)
 
 
 @given(seeds)
@@ -140,6 +158,22 @@ def test_masses_are_those_of_pairs_that_move_by_themselves():
     np.testing.assert_array_equal(find_masses(model, model.tangential[:2], 1e-3, 9), 0.0)  # springs hold them there
     joint = dovetail()
     np.testing.assert_array_equal(find_masses(joint, joint.tangential, 3000.0, 9), 0.0)
+
+
+def test_harmonics_left_out_may_hit_an_undamped_mode():
+    """As the sixth does here, of which a solve with five knows nothing."""
+    rub = ContactProblem(friction_oscillator(), ContactLaws("prescribed", normal_force=0.2), 1 / (12 * np.pi), 5)
+    assert rub.system.closures == () and solve(rub).converged
+
+
+@pytest.mark.parametrize("closure", ["mass", "spring"])
+@pytest.mark.parametrize("highest", [3, 4, 5, 6])
+def test_a_solution_solves_its_own_problem_whether_even_harmonics_are_left_out_or_not(highest, closure):
+    rub = ContactLaws("prescribed", normal_force=0.7, friction=1.0)
+    found = solve(ContactProblem(friction_oscillator(damping=0.02), rub, 0.1, highest, closure=closure))
+    assert found.left_out and found.problem.basis.orders[-1] == highest
+    balance = HarmonicBalance(found.problem.system)
+    assert np.linalg.norm(balance.residual(balance.pack(found.forces, found.rigid))) < 1e-8
 
 
 def test_a_block_that_rubs_at_several_pairs_keeps_its_dashpots():

@@ -36,7 +36,7 @@ def test_a_curve_that_begins_with_the_default_weights_keeps_them(monkeypatch, an
     for curve in (sweep(**own, folder=tmp_path), sweep(**own, folder=tmp_path)):
         assert curve.jumps == () and not any(newton.has_own_weights(s.problem) for s in curve.solutions)
         asked = ContactProblem(lift_off_oscillator(), LAWS, 0.1, **own)
-        assert any("9 of them hold with the default weights" in line for line in findings.tell_sweep(curve, asked))
+        assert any("9 of them hold with default weights" in line for line in findings.tell_sweep(curve, asked))
         assert findings.list_facts_of_sweep(curve, asked)["sweep"]["with_default_weights"] == 9
         assert not any("weights" in line for line in findings.tell_sweep(curve, curve.solutions[0].problem))
         np.testing.assert_allclose(
