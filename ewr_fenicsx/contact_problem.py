@@ -125,14 +125,6 @@ class ContactProblem:
         return asked if self.frequency else select_basis(0)
 
     @property
-    def beyond(self) -> int:
-        """Odd harmonic beyond which springs and masses stand for those left out, whether even ones are kept or not.
-
-        Negative where nothing oscillates.
-        """
-        return (self.basis.orders[-1] - 1) | 1
-
-    @property
     def has_springs(self) -> bool:
         """Whether springs may stand for the harmonics left out."""
         return not isinstance(self.closure, str) or self.closure == "spring"
@@ -331,9 +323,10 @@ def choose_closing(
     """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
     if not isinstance(problem.closure, str):
         return pick_pairs(problem.closure, pairs, problem.model.pairs)
-    if not problem.has_springs or problem.beyond < 1:
+    highest = problem.basis.orders[-1]
+    if not problem.has_springs or not highest:
         return np.zeros(pairs.size)
-    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, problem.beyond)
+    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
 
 
 def choose_closing_mass(
@@ -343,10 +336,11 @@ def choose_closing_mass(
 
     None where bodies hang on friction: dashpots tell whether these walk.
     """
-    at = layout.index[direction]
+    highest, at = problem.basis.orders[-1], layout.index[direction]
     masses = np.zeros(at.size)
-    if problem.has_masses and problem.beyond > 0 and not rubs_to_hold:
-        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, problem.beyond)
+    if problem.has_masses and highest and not rubs_to_hold:
+        odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
+        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, odd)
     return masses[pairs]
 
 
