@@ -10,8 +10,8 @@ to the steady state at two step sizes, extrapolated; a harmonic solve of high or
 Where the two differ by more than a third of the smallest accuracy asked, neither counts as a reference, and the case is
 listed: lightly damped contact nodes with a mass of their own may chatter, and a problem may have several solutions.
 
-The cheapest fixed setting is found by trying: orders, three closures of the friction law (dashpots with the default
-weight and with the matched one, springs) and two densities of samples, from cold;
+The cheapest fixed setting is found by trying: orders, three closures of the friction law (the default: masses or
+dashpots; dashpots with the matched weight; springs) and two densities of samples, from cold;
 the cheapest counts whose true error meets the accuracy, which a user could not know. Errors do not fall steadily with
 the order, so the cheapest may meet the accuracy by chance: beside it stands the cheapest whose next two orders, where
 they were tried, meet it as well. Times are the process's own (CPU), short ones the median of three.

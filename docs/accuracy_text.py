@@ -61,7 +61,7 @@ at that frequency, or `applied`: what a static load of that size would make); an
 rub on a rigid wall (f1: 1000 rad/s, near their resonance). Linear cases (no pair ever slips or
 opens) are exact with any setting. The reference is time stepping, at two step sizes and extrapolated, or a harmonic
 solve of high order where stepping has not settled. "Cheapest" is the fastest fixed setting (harmonics, samples,
-dashpots with two weights, springs) whose *true* error meets the accuracy, which a user could not know. Reported as
+masses or dashpots, springs) whose *true* error meets the accuracy, which a user could not know. Reported as
 reached, but missed:
 
 {misses}
