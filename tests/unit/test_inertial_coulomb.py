@@ -132,12 +132,31 @@ def rub_under_moving_forces(**settings) -> ContactProblem:
     return ContactProblem(model, laws, settings.pop("frequency", 0.3), closure="spring", **settings)
 
 
-@pytest.mark.parametrize("size", [0.1, 0.5, 2.0])
+def name_states(balance: HarmonicBalance, point: np.ndarray) -> set[str]:
+    """What masses do at a point: come to rest and stay there, reverse, are driven off."""
+    forces, rigid = balance.unpack(point)
+    found = set()
+    seen = balance.sample(forces, balance.compliance.motion(forces, rigid))
+    for law, motion in zip(balance.system.laws, seen, strict=True):
+        run, _ = law.run(motion)
+        reverses = (run.kept > 0) & (run.kept < 1)
+        states = {"rest": run.kept == 0, "reverse": reverses, "driven off": run.driven_off}
+        found |= {name for name, there in states.items() if np.any(there)}
+    return found
+
+
+@pytest.mark.parametrize(
+    ("size", "loaded", "state"),
+    [(0.1, 1.0, "reverse"), (2.0, 1.0, "reverse"), (8.0, 1.0, "driven off"), (0.02, 0.25, "rest")],
+)
 @pytest.mark.parametrize("harmonics", [5, (0, 1, 2, 5)])
-def test_the_jacobian_is_that_of_finite_differences(harmonics, size):
-    balance = HarmonicBalance(rub_under_moving_forces(harmonics=harmonics, samples=80).system, 1.0)
+def test_the_jacobian_is_that_of_finite_differences(harmonics, size, loaded, state):
+    usual = rub_under_moving_forces(harmonics=harmonics, samples=80)
+    problem = replace(usual, load={h: loaded * f for h, f in usual.loads.items()})
+    balance = HarmonicBalance(problem.system, 1.0)
     assert all(isinstance(law, InertialCoulomb) for law in balance.system.laws)
     point = size * np.random.default_rng(0).normal(size=balance.size)
+    assert state in name_states(balance, point)
     step = balance.linearise(point)
     matrix, small = step.matrix(), 1e-7
     moved = [balance.residual(point + small * e) - balance.residual(point - small * e) for e in np.eye(balance.size)]
