@@ -26,9 +26,11 @@ from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 
-# Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails.
-COARSE_LEVELS, FINE_LEVELS = (5, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
-COARSE_TOLERANCE, COARSE_STEPS = 1e-3, 25  # a coarse set is only a start for the next
+# Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
+# the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
+COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
+COARSE_STEPS = 25  # a coarse set is only a start for the next:
+COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
@@ -49,6 +51,7 @@ def climb(
     linear_solver: LinearSolver,
     levels: tuple[int, ...],
     rungs: tuple[Rung, ...] = (),
+    coarse_tolerance: float = COARSE_TOLERANCE,
 ) -> Attempt:
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
@@ -60,7 +63,7 @@ def climb(
         last = orders == balance.basis.orders
         level = balance if last else HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
-        goal, limit = (tolerance, None) if last else (COARSE_TOLERANCE, COARSE_STEPS)
+        goal, limit = (tolerance, None) if last else (coarse_tolerance, COARSE_STEPS)
         attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit, near=below is not None)
         for rung in rungs:
             if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
@@ -19,6 +20,8 @@ from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     FINE_LEVELS,
     LARGEST_TRACED,
+    SPRING_LEVELS,
+    SPRING_TOLERANCE,
     climb,
     sharpen_corners,
     trace_load,
@@ -149,7 +152,11 @@ def list_rungs(
         return
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
-    yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, COARSE_LEVELS)
+    if problem.has_springs:
+        first = partial(climb, levels=SPRING_LEVELS, coarse_tolerance=SPRING_TOLERANCE)
+    else:
+        first = partial(climb, levels=COARSE_LEVELS)
+    yield "growing harmonics", lambda _: first(balance, tolerance, linear_solver)
     if has_own_weights(problem):
         given = (problem, balance, start, tolerance, linear_solver)
         yield "from the default weights", lambda _: leave_default_weights(*given)

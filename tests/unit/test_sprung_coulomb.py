@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import select_basis
 from ewr_fenicsx.inertial_coulomb import InertialCoulomb
@@ -117,3 +117,23 @@ def test_a_stuck_joint_is_the_linear_one():
     springs, dashpots = solve(replace(problem, closure="spring")), solve(problem)
     np.testing.assert_allclose(springs.output("tip"), dashpots.output("tip"), rtol=1e-8)
     assert springs.iterations == 0
+
+
+def test_springs_climb_through_fewer_and_looser_harmonics(monkeypatch):
+    """Each set is started at what the one before found, and only the last is solved to the end."""
+    climbed = []
+    newton = ladder.run_newton
+
+    def record(balance, unknowns, goal, *rest, **options):
+        climbed.append((balance.basis.orders[-1], goal))
+        return newton(balance, unknowns, goal, *rest, **options)
+
+    monkeypatch.setattr(ladder, "run_newton", record)
+    problem = ContactProblem(dovetail(excitation=300.0), ContactLaws(friction=0.2), 700.0, harmonics=15)
+    tips = {}
+    for closure, sets in (("dashpot", [(5, 1e-3), (15, 1e-8)]), ("spring", [(3, 1e-2), (7, 1e-2), (15, 1e-8)])):
+        climbed.clear()
+        solution = solve(replace(problem, closure=closure))
+        assert climbed == sets and not solution.fallbacks
+        tips[closure] = solution.output("tip")[1]
+    assert 1e-6 < abs(tips["spring"] / tips["dashpot"] - 1) < 0.02
