@@ -7,7 +7,9 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton import went_back
 from ewr_fenicsx.symmetry import find_idle_harmonics
 
@@ -15,8 +17,12 @@ if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.contact_problem import ContactProblem
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
+    from ewr_fenicsx.given import RealArray
+    from ewr_fenicsx.interface import Interface
+    from ewr_fenicsx.solution import PeriodicSolution
     from ewr_fenicsx.wear import WearHistory
 
+ROUND = 256  # samples of a period, looked through for the largest motion
 FEW = 5  # frequencies or cycles that are told one by one
 
 
@@ -25,6 +31,45 @@ def word_remedy(found: AccurateSolution) -> AccurateSolution:
     if found.estimate.dominating == "modes" and found.levels:
         return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
     return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
+
+
+def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through: float) -> list[str]:
+    """Where motions are too large for pairs of nodes that stay opposite each other, and for linear elasticity.
+
+    Args:
+        solution: A converged solution.
+        interface: Where its pairs are.
+        through: Thickness of the thinnest body [m].
+    """
+    touches = solution.history("normal_force", ROUND).max(axis=0) > 0
+    slid, spacing = np.abs(solution.history("slip", ROUND)).max(axis=0), measure_spacing(interface)
+    far = np.flatnonzero(touches & (slid > spacing))
+    wave = FourierBasis(solution.orders, ROUND)
+    moved = {name: np.abs(wave.synthesise(solution.output(name)[:, None])).max() for name in solution.problem.model.outputs}
+    doubts = []
+    if far.size:
+        k = far[np.argmax(slid[far] / spacing[far])]
+        doubts.append(
+            f"{far.size} of {slid.size} pairs slide farther than their nodes are apart, pair {k} by "
+            f"{1e3 * slid[k]:.3g} mm of {1e3 * spacing[k]:.3g} mm, and would meet others than those opposite; "
+            "see loads, damping and units"
+        )
+    doubts += [
+        f"{name} moves by up to {1e3 * size:.3g} mm, a body is only {1e3 * through:.3g} mm thick: linear elasticity "
+        "holds for small motions; see loads, damping and units"
+        for name, size in moved.items()
+        if size > through
+    ]
+    return doubts
+
+
+def measure_spacing(interface: Interface) -> RealArray:
+    """Distance from each pair to the nearest one on its flank, infinite where it is alone ``(K_c,)`` [m]."""
+    spacing = np.full(interface.area.size, np.inf)
+    for flank in range(len(interface.flanks)):
+        mine = np.flatnonzero(interface.flank_of_pair == flank)
+        spacing[mine] = cKDTree(interface.position[mine]).query(interface.position[mine], [2])[0][:, 0]
+    return spacing
 
 
 def list_accuracy(found: AccurateSolution) -> dict[str, object]:

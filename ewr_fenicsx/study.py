@@ -74,8 +74,14 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
         OutputError: ``work`` holds another study.
     """
-    watch, scene = Stopwatch(progress), chain.scene
-    work = work if can_resume(scene) else None
+    study = _solve(chain, Stopwatch(progress), work if can_resume(chain.scene) else None)
+    doubts = findings.doubt_small_motion(study.solution, study.chain.interface, measure_thinnest_body(study.chain))
+    told = "\n".join([study.told, *(f"  NOT a small motion: {doubt}" for doubt in doubts)])
+    return replace(study, told=told, facts={**study.facts, "doubts_of_small_motion": doubts})
+
+
+def _solve(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
+    scene = chain.scene
     if len(scene.frequencies) > 1:
         return _sweep(chain, watch, work)
     if scene.wear:

@@ -31,7 +31,7 @@ def run(tmp_path):
         folder = tmp_path / name
         assert main(["run", str(ROOT / "demos" / f"{name}.toml"), "--out", str(folder)]) == 0
         summary = json.loads((folder / "summary.json").read_text())
-        assert summary["solution"]["converged"]
+        assert summary["solution"]["converged"] and summary["doubts_of_small_motion"] == []
         return summary, read_table(folder / "pairs.csv"), folder
 
     return run_scene
