@@ -45,7 +45,7 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
     slid, spacing = np.abs(solution.history("slip", ROUND)).max(axis=0), measure_spacing(interface)
     far = np.flatnonzero(touches & (slid > spacing))
     wave = FourierBasis(solution.orders, ROUND)
-    moved = {name: np.abs(wave.synthesise(solution.output(name)[:, None])).max() for name in solution.problem.model.outputs}
+    outputs = {name: wave.synthesise(solution.output(name)[:, None]) for name in solution.problem.model.outputs}
     doubts = []
     if far.size:
         k = far[np.argmax(slid[far] / spacing[far])]
@@ -54,10 +54,11 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
             f"{1e3 * slid[k]:.3g} mm of {1e3 * spacing[k]:.3g} mm, and would meet others than those opposite; "
             "see loads, damping and units"
         )
+    largest = {name: float(np.abs(motion).max()) for name, motion in outputs.items()}
     doubts += [
         f"{name} moves by up to {1e3 * size:.3g} mm, a body is only {1e3 * through:.3g} mm thick: linear elasticity "
         "holds for small motions; see loads, damping and units"
-        for name, size in moved.items()
+        for name, size in largest.items()
         if size > through
     ]
     return doubts
