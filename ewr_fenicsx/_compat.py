@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import inspect
 import logging
@@ -106,6 +107,17 @@ def free_matrices(comm: PETSc.Comm) -> None:
     """
     if hasattr(PETSc, "garbage_cleanup"):
         PETSc.garbage_cleanup(comm)
+
+
+def list_unused_options() -> list[str]:
+    """Names of the options given to PETSc, without their dash, that nothing has asked for so far."""
+    petsc = ctypes.CDLL(PETSc.__file__)  # petsc4py has no call for it, and the C library's may be reached through it
+    count, names, values = ctypes.c_int64(0), ctypes.POINTER(ctypes.c_char_p)(), ctypes.POINTER(ctypes.c_char_p)()
+    table = [None, *(ctypes.byref(part) for part in (count, names, values))]
+    petsc.PetscOptionsLeftGet(*table)
+    unused = [names[i].decode() for i in range(count.value)]
+    petsc.PetscOptionsLeftRestore(*table)
+    return unused
 
 
 def cell_dofs(space, cells: Sequence[int]) -> np.ndarray:

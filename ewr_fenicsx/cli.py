@@ -135,8 +135,20 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
                 facts=study.facts,
             )
     if comm.rank == 0:
+        tell_unused_options()
         print(study.told, list_files(files), sep="\n\n")
     return 0
+
+
+def tell_unused_options() -> None:
+    """Names options that were meant for PETSc's solvers and that none took, which PETSc passes over in silence."""
+    from ewr_fenicsx._compat import list_unused_options
+
+    for name in list_unused_options():
+        if name.startswith("ewr_"):
+            print(f"ewr: nothing took -{name}: is it spelt so? Linear scenes take none", file=sys.stderr)
+        elif name.startswith(("snes_", "ksp_", "pc_")):
+            print(f"ewr: nothing took -{name}; was -ewr_{name} meant?", file=sys.stderr)
 
 
 def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:

@@ -236,9 +236,16 @@ def test_overwrite_replaces_an_earlier_run(run):
 
 
 def test_petsc_options_reach_the_newton_solver(tmp_path):
-    done = run_ewr("run", SCENE, "--out", tmp_path / "results", "-ewr_snes_monitor")
+    """Those that nothing takes are named, where PETSc passes them over."""
+    given = ("-ewr_snes_monitor", "-ewr_snes_monitr", "-ksp_view")
+    done = run_ewr("run", SCENE, "--out", tmp_path / "results", *given)
     assert done.returncode == 0, done.stderr
     assert "0 SNES Function norm" in done.stdout
+    told = [line for line in done.stderr.splitlines() if line.startswith("ewr: ")]
+    assert told == [
+        "ewr: nothing took -ewr_snes_monitr: is it spelt so? Linear scenes take none",
+        "ewr: nothing took -ksp_view; was -ewr_ksp_view meant?",
+    ]
 
 
 def test_info_counts_without_solving(capsys, monkeypatch):
