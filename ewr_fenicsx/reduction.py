@@ -105,7 +105,8 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     first = structure.mass.getOwnershipRange()[0]
     fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
     contact = _contact_dofs(interface, fixed)
-    _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), len(contact) + modes, len(interface.area))
+    columns = len(contact) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
+    _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), columns, len(interface.area))
     interior = _cut_interior(structure, contact)
     found = solve_modes(interior.stiffness, interior.mass, modes)
     _compat.free_matrices(structure.mass.comm)  # before the wide basis takes its memory
