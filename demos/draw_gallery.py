@@ -25,7 +25,10 @@ from ewr_fenicsx.study import run_study
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
-SCENES = ("friction_damped_beam", "two_blocks", "dovetail", "blade_root", "bolted_lap", "tapping_rod")
+SCENES = (
+    *("friction_damped_beam", "two_blocks", "dovetail", "blade_root"),
+    *("platform_damper", "bolted_lap", "tapping_rod"),
+)
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
 SAMPLES = 256
 
@@ -139,9 +142,9 @@ def draw_scene(name: str) -> str:
 # %%
 PAGE = """# Gallery
 
-Six scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that a
-scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture the
-joint at the instant of its largest motion, dashed at rest.
+Seven scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that
+a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture
+the joint at the instant of its largest motion, dashed at rest.
 
 `demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded
 joint to everything at once on one model.

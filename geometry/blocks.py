@@ -66,6 +66,18 @@ class Body:
         gmsh.model.geo.mesh.setRecombine(2, surface)
         self.surfaces.append(surface)
 
+    def patch(self, corners: Sequence[Point], cells: tuple[int, int]) -> list[int]:
+        """Fill a straight-sided block; tags of its four curves, the first from corner 0 to corner 1.
+
+        Args:
+            corners: Four, in turn [m].
+            cells: Along the first and third side, and along the other two.
+        """
+        edges = pairwise([*corners, corners[0]])
+        sides = [self.curve(start, end, cells[k % 2]) for k, (start, end) in enumerate(edges)]
+        self.block(corners, sides)
+        return sides
+
     def grid(self, xs: Sequence[float], ys: Sequence[float], across: Sequence[int], along: Sequence[int]) -> Edges:
         """Fill a rectangle with a grid of rectangular blocks.
 

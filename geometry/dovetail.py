@@ -16,7 +16,6 @@ Physical groups: surfaces ``blade`` and ``disk``; curves ``left`` and ``right`` 
 
 from __future__ import annotations
 
-from itertools import pairwise
 from math import cos, radians, sin, tan
 
 from blocks import Body, Point, check_positive, mesh_bodies
@@ -88,7 +87,7 @@ def build(
         for side, hand in ((-1, "left"), (1, "right")):
             for upper, lower, cells in rows:
                 corners = [upper, lower, (far, lower[1]), (far, upper[1])]
-                outline, _, opposite, top = _draw_block(body, corners, (cells, columns), side)
+                outline, _, opposite, top = body.patch(_mirror(corners, side), (cells, columns))
                 if upper == (neck, -neck_height):
                     curves[hand].append(outline)
                 if upper == (tip, blade_height):
@@ -98,14 +97,10 @@ def build(
             if body.name == "disk":
                 aside_of_bottom = body.curve((side * lower[0], lower[1]), (side * far, lower[1]), columns)
                 below = [(0.0, bottom - clearance), (0.0, -disk_height), lower, upper]
-                curves["clamp"] += [aside_of_bottom, _draw_block(body, below, (cells, across), side)[1]]
+                curves["clamp"] += [aside_of_bottom, body.patch(_mirror(below, side), (cells, across))[1]]
     mesh_bodies(bodies, curves)
 
 
-def _draw_block(body: Body, corners: list[Point], cells: tuple[int, int], side: int) -> list[int]:
-    """One block on the left (-1) or right (1) side; tags of its four curves, the first from corner 0 to corner 1."""
-    corners = [(side * x, y) for x, y in corners]
-    edges = pairwise([*corners, corners[0]])
-    sides = [body.curve(start, end, cells[k % 2]) for k, (start, end) in enumerate(edges)]
-    body.block(corners, sides)
-    return sides
+def _mirror(corners: list[Point], side: int) -> list[Point]:
+    """The corners on the left (-1) or right (1) side."""
+    return [(side * x, y) for x, y in corners]

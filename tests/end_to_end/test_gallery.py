@@ -20,7 +20,10 @@ from ewr_fenicsx.cli import main
 from ewr_fenicsx.mesh import load_builder
 
 ROOT = Path(__file__).parents[2]
-SCENES = ("friction_damped_beam", "two_blocks", "dovetail", "blade_root", "bolted_lap", "tapping_rod")
+SCENES = (
+    *("friction_damped_beam", "two_blocks", "dovetail", "blade_root"),
+    *("platform_damper", "bolted_lap", "tapping_rod"),
+)
 
 
 @pytest.fixture
@@ -112,6 +115,30 @@ def test_tapping_rod(run):
     assert summary["solution"]["unknowns"] == len(pairs) * 19, "no tangential unknown"
 
 
+def test_platform_damper(run):
+    """The wedge takes away most of both peaks: that of the blades without it, and that with it stuck."""
+    summary, pairs, folder = run("platform_damper")
+    merit = summary["solution"]["merit"]
+    assert merit["friction_dissipation"] > 10 * merit["viscous_dissipation"]
+    scene = load_scene(ROOT / "demos" / "platform_damper.toml")
+    chain = build_chain(scene)
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    laws = {
+        "without": replace(problem.laws, tangential="frictionless"),
+        "stuck": replace(problem.laws, normal="bonded", tangential="bonded"),
+    }
+    peaks = {
+        name: max(solve(replace(problem, laws=law, frequency=f)).merit["rms_tip"] for f in scene.frequencies)
+        for name, law in laws.items()
+    }
+    damped = max(column(read_table(folder / "frequency_response.csv"), "rms_tip"))
+    assert damped < 0.3 * min(peaks.values()), (damped, peaks)
+    flank, force = column(pairs, "flank"), column(pairs, "normal_force_mean [N]")
+    lifted = -force * column(pairs, "normal_y") + column(pairs, "friction_force_mean [N]") * column(pairs, "normal_x")
+    assert lifted.sum() == pytest.approx(300.0, rel=1e-6), "both flanks carry the wedge"
+    assert force[flank == "left"].sum() == pytest.approx(force[flank == "right"].sum(), rel=1e-3)
+
+
 def test_the_page_shows_every_scene():
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for name in SCENES:
@@ -145,6 +172,10 @@ def test_choose_your_effects_runs_and_its_assertions_hold():
         ("end_contact", {"pairs": 1}, "pairs = 1: expected at least 2"),
         ("lap_joint", {"overlap": 0.01}, "overlap = 0.01: expected between washer"),
         ("lap_joint", {"pairs": 3}, "pairs = 3: expected at least 4"),
+        ("platform_damper", {"damper_height": 0.02}, "damper_height = 0.02: expected less than 0.01327, where"),
+        ("platform_damper", {"flank_angle": 80.0}, "flank_angle = 80.0: expected degrees from the x direction"),
+        ("platform_damper", {"airfoil_thickness": 0.02}, "airfoil_thickness = 0.02: expected less than the shank's"),
+        ("platform_damper", {"pairs": 1}, "pairs = 1: expected at least 2"),
     ],
 )
 def test_builders_name_the_parameter_that_makes_no_sense(builder, parameters, message):
