@@ -311,12 +311,13 @@ def judge(
     level before: there are as many a harmonic.
     """
     error, samples = 0.0, np.nan
+    moved = 0.0 if before is None else measure_distance(before, solution, figure)
     closures = {s.problem.system.closures for s in (before, solution) if s is not None}
     closed_alike = before is not None and closures in ({()}, {("masses",)})
     if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
-        error = measure_distance(before, solution, figure) / (max(growth, GROWTH[0]) ** find_rate(solution.problem) - 1)
+        error = moved / (max(growth, GROWTH[0]) ** find_rate(solution.problem) - 1)
     if error <= accuracy:
-        error = max(error, estimate_together(solution, accuracy, figure))
+        error = max(error, estimate_together(solution, accuracy, figure, moved))
     known = [level.estimate.samples for level in levels if level.estimate.samples < IDLE * accuracy]
     if before is not None and not known and max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
         samples = min(estimate_samples(solution, figure), error)

@@ -50,6 +50,7 @@ FIRST_ORDER = 3  # highest harmonic up to which no springs are used: so few say 
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
+SURPRISE = 10.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
 
 Figure = Callable[[PeriodicSolution], RealArray]
@@ -244,13 +245,16 @@ def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None)
     return step_towards(solution, look_ahead(solution)[0], figure)
 
 
-def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figure | None = None) -> float:
+def estimate_together(
+    solution: PeriodicSolution, accuracy: float, figure: Figure | None = None, moved: float = 0.0
+) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
-    Where one Newton step tells of far more than the accuracy, or far less, that is all. Else a second one on the same
-    problem follows: it is mostly closer to the true error, and half of what it changed is added for what further steps
-    would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the error, and its
-    whole is returned.
+    Where one Newton step tells of far more than the accuracy, or far less, that is all; but not where it tells of far
+    less than the solution has ``moved``, by the same measure, from the one with fewer harmonics. Else a second one on
+    the same problem follows: it is mostly closer to the true error, and half of what it changed is added for what
+    further steps would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the
+    error, and its whole is returned.
     """
     raised, top = look_ahead(solution)
     ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
@@ -258,7 +262,7 @@ def estimate_together(solution: PeriodicSolution, accuracy: float, figure: Figur
         return np.inf
     seen = 1 - (solution.orders[-1] / max(1, top)) ** find_rate(solution.problem)
     first = measure_step(solution, ahead, figure) / seen
-    if first > CLEAR * accuracy or CLEAR * first < accuracy:
+    if first > CLEAR * accuracy or (CLEAR * first < accuracy and moved < SURPRISE * first):
         return first
     second = measure_step(solution, take_step(ahead, ahead.problem), figure) / seen
     return second + abs(second - first) / 2

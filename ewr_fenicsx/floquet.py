@@ -36,6 +36,7 @@ NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutr
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
+FAST = 1.2  # multiplier from which on deviations that grow must do so along the motion in time as well
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 
 
@@ -123,25 +124,36 @@ def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
     return min(system.basis.orders[-1], (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
 
 
-def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
+def grows(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool | None:
     """Whether an odd number of real Floquet multipliers are above one: Hill's determinant is negative there.
 
     The Jacobian of the balance tells as much where every force follows from the motion. Mean friction does not: what
     sets it (``static_friction``) turns the sign where friction is strong enough to wedge, without any motion leaving.
+    Large growth must be borne out in time; next to a fold it is less than what stepping tells.
 
     Args:
-        system: What was solved.
-        forces, rigid: As in ``find_growth``.
+        problem, forces, rigid, coordinates: As in ``find_growth``.
 
     Returns:
         None where a law remembers, and where rounding decides.
     """
+    system = problem.system
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is None:
         return None
-    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
-    sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
-    return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
+    omega, slopes = system.compliance.omega, slopes.treat_all_as_changing()
+    slowly = find_real_sign(Hill(system, slopes, SLOW * omega, system.basis.orders[-1]).matrix)
+    if slowly >= 0:
+        return None if slowly == 0 else False
+    fast = np.log(FAST) * omega / (2 * np.pi)
+    grows_fast = find_real_sign(Hill(system, slopes, fast, system.basis.orders[-1]).matrix) < 0
+    return is_borne_out(problem, coordinates) if grows_fast else True
+
+
+def find_real_sign(matrix: ComplexArray) -> int:
+    """Sign of a determinant that is real; 0 where rounding decides it."""
+    sign = np.linalg.slogdet(matrix)[0]
+    return int(np.sign(sign.real)) if abs(sign.imag) < SURE * abs(sign.real) else 0
 
 
 def tell_where_to(alternates: bool, multiplier: complex) -> str:

@@ -31,57 +31,66 @@ class Slide(NamedTuple):
         momentum: At the end of each sample's interval, over its length [N].
         kept: Derivative by the momentum before: 1, less where the mass reverses, 0 where it comes to rest.
         by_drive, by_limit: Derivatives by the drive and by the limit at the same sample.
-        driven_off: ``(K,)`` way in which a mass is driven faster from period to period, 1 or -1; 0 where it is not.
+        free: ``(K,)`` masses without friction, which have no momentum of their own.
     """
 
     momentum: RealArray
     kept: RealArray
     by_drive: RealArray
     by_limit: RealArray
-    driven_off: RealArray
+    free: np.ndarray
 
 
 def slide(drive: RealArray, limit: RealArray) -> Slide:
     """Periodic momentum of masses driven against dry friction.
 
     The momentum after a period rises with the one before, by less where the mass came to rest or reversed: Newton's
-    method within bounds finds the one that comes back.
+    method within bounds finds the one that comes back. What is driven off, faster from period to period, has none: it
+    is stopped once a period, where it is slowest, and so slides one way throughout.
 
     Args:
         drive: ``g``, ``(n_t, K)`` [N].
         limit: ``c >= 0``, ``(n_t, K)`` [N].
     """
-    found = [_find_periodic(g.tolist(), c.tolist()) for g, c in zip(drive.T, limit.T, strict=True)]
-    periods = np.array([period for period, _ in found]).reshape(-1, len(drive), 4)
-    return Slide(*np.moveaxis(periods, 2, 0).transpose(0, 2, 1), np.array([way for _, way in found]))
+    columns = zip(drive.T.tolist(), limit.T.tolist(), strict=True)
+    found = [_find_periodic(g, c) if any(c) else _run_period(0.0, g, c) for g, c in columns]
+    periods = np.array(found).reshape(-1, len(drive), 4)
+    return Slide(*np.moveaxis(periods, 2, 0).transpose(0, 2, 1), ~np.any(limit, axis=0))
 
 
-def _find_periodic(drive: list[float], limit: list[float]) -> tuple[list[tuple[float, ...]], float]:
-    """One mass: ``(momentum, kept, by_drive, by_limit)`` at every sample, and the way in which it is driven off.
-
-    Without friction there is no momentum to find: it counts as driven off.
-    """
-    if not any(limit):
-        return _run_period(0.0, drive, limit), 1.0
-    start, low, high = 0.0, -np.inf, np.inf
+def _find_periodic(drive: list[float], limit: list[float]) -> list[tuple[float, ...]]:
+    """One mass that rubs: ``(momentum, kept, by_drive, by_limit)`` at every sample."""
+    start, low, high, stride = 0.0, -np.inf, np.inf, 1.0
     small = ROUNDING * len(drive) * max(map(abs, (*drive, *limit)))
     for _ in range(ROUNDS):
         period = _run_period(start, drive, limit)
         change, way = period[-1][0] - start, copysign(1.0, period[-1][0])
-        slowest = min(way * momentum for momentum, *_ in period)
-        if slowest > 0 and way * start >= 0:  # it slides one way throughout
-            if way * change >= -small:
-                return period, way
-            start += change * (slowest // abs(change) + 1.0)
-            continue
+        speeds = [way * momentum for momentum, *_ in period]
+        slowest = min(speeds)
+        one_way = slowest > 0 and way * start >= 0
+        if one_way and way * change >= -small:
+            return _stop_once(speeds.index(slowest), drive, limit)
         if abs(change) <= small:
             break
         low, high = (start, high) if change > 0 else (low, start)
         slope = float(np.prod([kept for _, kept, _, _ in period]))
-        start += change / (1.0 - slope) if slope < 1.0 else change
+        if one_way:
+            start += change * (slowest // abs(change) + 1.0)
+        elif slope < 1.0:
+            start += change / (1.0 - slope)
+        else:  # it reverses where nothing rubs
+            start, stride = start + stride * change, 2.0 * stride
         if not low < start < high:
             start = (low + high) / 2
-    return period, 0.0
+    return period
+
+
+def _stop_once(where: int, drive: list[float], limit: list[float]) -> list[tuple[float, ...]]:
+    """``_find_periodic`` from rest at a sample to that sample again, where it comes to rest."""
+    turn = where + 1
+    period = _run_period(0.0, drive[turn:] + drive[:where], limit[turn:] + limit[:where])
+    ahead = len(drive) - turn
+    return [*period[ahead:], (0.0, 0.0, 0.0, 0.0), *period[:ahead]]
 
 
 def _run_period(momentum: float, drive: list[float], limit: list[float]) -> list[tuple[float, ...]]:
@@ -109,8 +118,9 @@ def _run_period(momentum: float, drive: list[float], limit: list[float]) -> list
 class InertialCoulomb(Law):
     """Dry friction in one tangential direction with the true, varying cone, closed by masses.
 
-    Where a mass is not driven off, the residual is what its momentum lacks of the harmonics kept. Its mean, which would
-    vanish for any mean force, is ``m omega`` times the mean velocity: the surfaces must not drift apart.
+    The residual is what the mass's momentum lacks of the harmonics kept. Its mean, which would vanish for any mean
+    force, is ``m omega`` times the mean velocity: the surfaces must not drift apart. What slides one way throughout
+    does, and so solves nothing; without friction, the force itself is to vanish.
 
     Args:
         pairs: ``(K,)`` pairs governed.
@@ -136,21 +146,20 @@ class InertialCoulomb(Law):
         limit = self.friction * np.maximum(0.0, motion.force["normal"])
         found = slide(drive, limit)
         force = found.momentum - np.roll(found.momentum, 1, axis=0) - drive
-        return found, np.where(found.driven_off, -found.driven_off * limit, force)
+        return found, np.where(found.free, 0.0, force)
 
     def evaluate(self, motion: Motion) -> Response:
         found, force = self.run(motion)
-        off = found.driven_off != 0
-        drift = np.where(off, 0.0, 2 * np.pi / len(force) * found.momentum.mean(axis=0))
-        by_drive, by_limit = (np.where(off, 0.0, part) for part in (found.by_drive, found.by_limit))
+        free = found.free
+        drift = np.where(free, 0.0, 2 * np.pi / len(force) * found.momentum.mean(axis=0))
+        by_drive, by_limit = (np.where(free, 0.0, part) for part in (found.by_drive, found.by_limit))
         closes = self.friction * (motion.force["normal"] > 0)
         ones = np.ones_like(force)
         return Response(
             motion.force["tangential"] - force - drift,
             (
-                Partial("force", "tangential", off * ones),
-                Partial("force", "normal", off * found.driven_off * closes),
-                Partial("acceleration", "tangential", ~off * self.mass * ones),
+                Partial("force", "tangential", free * ones),
+                Partial("acceleration", "tangential", ~free * self.mass * ones),
                 Partial("acceleration", "tangential", -self.mass * by_drive, kept=found.kept),
                 Partial("force", "tangential", by_drive, kept=found.kept),
                 Partial("force", "normal", -by_limit * closes, kept=found.kept),
@@ -161,10 +170,9 @@ class InertialCoulomb(Law):
         found, force = self.run(motion)
         rests = (found.momentum == 0) & (np.roll(found.momentum, 1, axis=0) == 0)
         moved = found.momentum * (self.period / len(force)) ** 2 / self.mass  # from one interval's middle to the next
-        off = found.driven_off != 0
         own = motion.displacement["tangential"]
         return {
             "admissible_friction_force": force,
             "slipping": ~rests,
-            "surface_slip": np.where(off, own, np.roll(moved, 1, axis=0).cumsum(axis=0)),
+            "surface_slip": np.where(found.free, own, np.roll(moved, 1, axis=0).cumsum(axis=0)),
         }

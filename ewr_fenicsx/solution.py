@@ -152,7 +152,7 @@ class PeriodicSolution(PeriodicMotion):
     def grows(self) -> bool:
         """Whether motions in time leave it without turning: looked at where ``side`` is negative."""
         here = self._forgetful
-        return self.side < 0 and grows(here.problem.system, here.forces, here.rigid) is not False
+        return self.side < 0 and grows(here.problem, here.forces, here.rigid, here.coordinates) is not False
 
     @cached_property
     def multiplier(self) -> complex:
