@@ -10,7 +10,7 @@ from numbers import Real
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
-from ewr_fenicsx.dashpots import use_mobility
+from ewr_fenicsx.dashpots import replace_masses, use_mobility
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     CLEAR,
@@ -27,7 +27,7 @@ from ewr_fenicsx.estimates import (
     measure_distance,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
-from ewr_fenicsx.newton import solve
+from ewr_fenicsx.newton import solve, use_default_weights
 from ewr_fenicsx.solution import PeriodicSolution
 
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
@@ -267,29 +267,39 @@ def pose_level(
     posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
     if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
+    if not springs:
+        return use_mobility(replace_masses(posed))
     posed = use_mobility(posed)
     closed = replace(posed, closure="spring")
-    closures = closed.system.closures if springs else ()
+    closures = closed.system.closures
     return closed if closures and (top > FIRST_ORDER or "springs" not in closures) else posed
 
 
 def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:
     """A solve from the solution with fewer harmonics; where that fails, from ``cold``, as next to a fold.
 
-    The ladder beyond is long, and hardly ever leads further there.
+    The ladder beyond is long, and hardly ever leads further there; the default weights may.
 
     Raises:
         NotConverged: No solution was found.
     """
-    try:
-        return solve(posed, before, tolerance, fallbacks=False)
-    except NotConverged as error:
-        if not cold:
-            raise
-        lost = error.best
-    found = solve(posed, None, tolerance, fallbacks=False)
-    tried = (f"given start: {lost.reason}", f"growing harmonics: {found.reason}")
-    return replace(found, fallbacks=tried, iterations=lost.iterations + found.iterations)
+    ways = [("given start", posed, before)]
+    if cold:
+        ways.append(("growing harmonics", posed, None))
+        if (usual := use_default_weights(posed)) is not posed:
+            ways.append(("default weights", usual, None))
+    tried, steps = [], 0
+    for name, problem, start in ways:
+        try:
+            found = solve(problem, start, tolerance, fallbacks=False)
+        except NotConverged as error:
+            lost = error
+            tried.append(f"{name}: {lost.best.reason}")
+            steps += lost.best.iterations
+        else:
+            told = (*tried, f"{name}: {found.reason}") if tried else ()
+            return replace(found, fallbacks=told, iterations=steps + found.iterations)
+    raise lost
 
 
 def judge(

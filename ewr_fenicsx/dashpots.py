@@ -29,7 +29,7 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     weight = read_friction_weight(problem)
     if weight is None:
         return None
-    system, beyond = problem.system, list_beyond(problem.basis.orders[-1])
+    system, beyond = replace_masses(problem).system, list_beyond(problem.basis.orders[-1])
     rate = np.array(beyond)[:, None] * problem.omega
     measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond)  # noqa: E731
     for law in system.laws:
@@ -46,8 +46,17 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
 
 
 def read_friction_weight(problem: ContactProblem) -> RealArray | None:
-    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N]."""
-    return read_weight(problem, "tangential")
+    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N].
+
+    Weights for all pairs leave no masses: where some pairs have weights, those of the masses are the default ones.
+    """
+    weight = read_weight(problem, "tangential")
+    return None if weight is None else read_weight(replace_masses(problem), "tangential")
+
+
+def replace_masses(problem: ContactProblem) -> ContactProblem:
+    """The problem with dashpots in place of the masses that close its truncation; itself where none do."""
+    return replace(problem, closure="dashpot") if "masses" in problem.system.closures else problem
 
 
 def read_weight(problem: ContactProblem, direction: str) -> RealArray | None:

@@ -50,7 +50,7 @@ FIRST_ORDER = 3  # highest harmonic up to which no springs are used: so few say 
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
-SURPRISE = 10.0  # times below how far the solution moved with its last harmonics, where it needs one after all
+SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
 
 Figure = Callable[[PeriodicSolution], RealArray]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import FIRST_ORDER
-from ewr_fenicsx.dashpots import use_mobility
+from ewr_fenicsx.accuracy import FIRST_ORDER, go_on, pose_level
+from ewr_fenicsx.dashpots import match_mobility, read_friction_weight, use_mobility
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.estimates import measure_distance
+from ewr_fenicsx.estimates import estimate_together, measure_distance, take_step
 
 
 def rub_behind_springs(harmonics=5, load=1.0, **settings) -> ContactProblem:
@@ -121,3 +121,66 @@ def test_where_more_harmonics_are_not_found_from_few_a_cold_start_may_find_them(
     found = solve_to_accuracy(rub_behind_springs(), 0.003)
     assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
     assert [told.split(": ")[1] for told in found.solution.fallbacks[:2]] == ["given start", "growing harmonics"]
+
+
+def test_where_no_weight_of_its_own_leads_on_the_default_ones_may(monkeypatch, truth_behind_springs):
+    def refuse_own(problem, start, tolerance, *, fallbacks):
+        found = solve(problem, start, tolerance, fallbacks=fallbacks)
+        if start is not None or problem.rho_tangential is not None:
+            raise NotConverged("as if", best=replace(found, reason="as if"))
+        return found
+
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_own)
+    posed = pose_level(rub_behind_springs(), 9, 8.0, frozenset(), False)
+    found = go_on(posed, solve(rub_behind_springs()), 1e-8, cold=True)
+    assert found.problem.rho_tangential is None
+    assert [told.split(": ")[0] for told in found.fallbacks] == ["given start", "growing harmonics", "default weights"]
+    assert measure_distance(found, truth_behind_springs) < 0.02
+
+
+def test_dashpots_stand_for_masses_where_these_find_no_solution():
+    """Also where no pair has a weight of its own: it was masses again that were tried in place of masses."""
+    model = ReducedModel(
+        np.diag([1.0, 2.0]), 0.1 * np.eye(2), np.diag([3.0, 1.0]), tangential=np.eye(2), load={1: [1.0, 1.0]}
+    )
+    problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.3), 0.1)
+    closures = [pose_level(problem, 9, 8.0, frozenset(), springs).system.closures for springs in (True, False)]
+    assert closures == [("masses",), ()]
+
+
+@pytest.mark.parametrize(("length", "mass", "time"), [(1e3, 1e-3, 1.0), (1e-6, 1e3, 1e2)])
+def test_weights_do_not_depend_on_units_where_masses_stand_beside_dashpots(length, mass, time):
+    """Masses beside dashpots had a weight of one, in any units."""
+    stiffness = np.array([[3.0, 0.0, 0.0], [0.0, 7.0, -5.0], [0.0, -5.0, 5.2]])
+
+    def pose(length: float, mass: float, time: float) -> ContactProblem:
+        force = mass * length / time**2
+        model = ReducedModel(
+            mass * np.diag([2.0, 1.0, 1e-4]),
+            0.05 * mass / time * stiffness,
+            mass / time**2 * stiffness,
+            tangential=np.eye(3)[[0, 2]],
+            load={1: force * np.array([1.0, 1.0, 0.0])},
+        )
+        laws = ContactLaws("prescribed", normal_force=force, friction=0.3)
+        return ContactProblem(model, laws, 0.1 / time, 9)
+
+    usual, other = pose(1.0, 1.0, 1.0), pose(length, mass, time)
+    assert "masses" in usual.system.closures and match_mobility(usual) is not None
+    np.testing.assert_allclose(match_mobility(other) * mass / time, match_mobility(usual), rtol=1e-9)
+    np.testing.assert_allclose(read_friction_weight(other) * mass / time, read_friction_weight(usual), rtol=1e-9)
+
+
+def test_a_small_estimate_after_a_large_change_takes_a_second_look(monkeypatch):
+    """One Newton step may tell of nothing by chance: at an under-platform damper it did, twenty times too little."""
+    solution, taken = solve(rub_behind_springs()), []
+
+    def step(here, problem):
+        taken.append(problem)
+        return take_step(here, problem)
+
+    monkeypatch.setattr("ewr_fenicsx.estimates.take_step", step)
+    first = estimate_together(solution, 0.9)
+    assert first < 0.9 / 4 and len(taken) == 1
+    assert estimate_together(solution, 0.9, moved=4.9 * first) == first and len(taken) == 2
+    assert estimate_together(solution, 0.9, moved=5.1 * first) != first and len(taken) == 4
