@@ -16,8 +16,10 @@ Source: the scheme (SDIRK2, L-stable: contact nodes without mass do not ring): A
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -135,20 +137,49 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
         ModelError: Time stepping does not know the laws, or takes too few steps for the harmonics.
         ImportError: There is no compiler for it.
     """
-    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
-
-    scheme, balance = TimeScheme(problem, STEPS_IN_TIME, THETA), HarmonicBalance(problem.system, 1.0)
-    rate = 1j * problem.omega * np.array(problem.basis.orders)
-    position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
-    impulse, along = np.zeros(balance.rows), []
-    for _ in range(1 + PERIODS):
-        period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
-        if not np.all(np.abs(period.positions) < BOUND):
-            return None
-        position, velocity, impulse = period.positions[-1], period.velocities[-1], period.impulses[-1]
+    balance, along = HarmonicBalance(problem.system, 1.0), []
+    for scheme, period in islice(step_from(problem, coordinates), 1 + PERIODS):
         along.append(_differentiate_period(balance, scheme, period))
+    if len(along) <= PERIODS:
+        return None
     joined = [replace(one[0], values=np.vstack([d.values for d in one])) for one in zip(*along[1:], strict=True)]
     return Slopes.of(tuple(joined), balance.rows)
+
+
+def measure_changes(problem: ContactProblem, coordinates: ComplexArray, periods: int) -> tuple[RealArray, float]:
+    """How the motion in time that begins on a solution changes from each of its periods to the next, and in all.
+
+    Args:
+        problem, coordinates: As in ``differentiate_along``.
+        periods: At most: a motion that leaves all bounds has fewer.
+
+    Returns:
+        Changes ``(periods - 1,)``, and that from the first to the last; over the oscillation in the last.
+
+    Raises:
+        ModelError, ImportError: As ``differentiate_along``.
+    """
+    motion = np.array([period.positions for _, period in islice(step_from(problem, coordinates), periods)])
+    swing = np.linalg.norm(motion[-1] - motion[-1].mean(axis=0)) if len(motion) else 1.0
+    swing = max(swing, np.finfo(float).tiny)
+    changes = np.linalg.norm(np.diff(motion, axis=0), axis=(1, 2)) / swing if len(motion) > 1 else np.zeros(0)
+    return changes, float(np.linalg.norm(motion[-1] - motion[0]) / swing) if len(motion) else np.inf
+
+
+def step_from(problem: ContactProblem, coordinates: ComplexArray) -> Iterator[tuple[TimeScheme, Period]]:
+    """The motion in time that begins on a solution, period by period, within bounds."""
+    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
+
+    scheme = TimeScheme(problem, STEPS_IN_TIME, THETA)
+    rate = 1j * problem.omega * np.array(problem.basis.orders)
+    position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
+    impulse = np.zeros(len(problem.system.rows))
+    while True:
+        period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
+        if not np.all(np.abs(period.positions) < BOUND):
+            return
+        yield scheme, period
+        position, velocity, impulse = period.positions[-1], period.velocities[-1], period.impulses[-1]
 
 
 def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: Period) -> tuple[Derivative, ...]:

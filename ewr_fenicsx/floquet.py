@@ -18,7 +18,14 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
-from ewr_fenicsx.deviations import PERIODS, Slopes, differentiate_along, differentiate_laws, step_deviations
+from ewr_fenicsx.deviations import (
+    PERIODS,
+    Slopes,
+    differentiate_along,
+    differentiate_laws,
+    measure_changes,
+    step_deviations,
+)
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.hill import Hill
@@ -28,6 +35,10 @@ FEWEST = 5  # harmonics of the deviations, below which it is not looked at, but 
 STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
 GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
 BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
+# Periods in which the motion in time that begins on a solution may settle beside it. Its changes from each to the next
+# have then fallen to this share of the first five, are not far above the least, or next to nothing beside the first,
+# and never rose; it is as near as this, and not so near that stepping itself may be what moved it
+SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
 # A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
@@ -36,7 +47,6 @@ NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutr
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
-FAST = 1.2  # multiplier from which on deviations that grow must do so along the motion in time as well
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 
 
@@ -79,6 +89,27 @@ def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
     if slopes is None:
         return True
     return measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > BORNE_OUT**PERIODS
+
+
+def settles(problem: ContactProblem, coordinates: ComplexArray) -> bool:
+    """Whether the motion in time that begins on a solution comes to repeat itself beside it.
+
+    Nothing then leaves it, whatever truncated series say of pairs that lift off. It begins as far from the motion
+    without truncation as the solution is: what grows by two percent a period has grown fivefold in the end. False where
+    it cannot be stepped.
+
+    Args:
+        problem, coordinates: As in ``find_growth``.
+    """
+    try:
+        changes, distance = measure_changes(problem, coordinates, SETTLING)
+    except (ModelError, ImportError):
+        return False
+    if len(changes) < SETTLING - 1:
+        return False
+    first, last = changes[:5].max(), changes[-1]
+    fallen = last < FALLEN * first and last < max(ABOVE_LEAST * changes.min(), NOTHING * first)
+    return bool(fallen and changes.max() < RISEN * first and AT_ONE < distance < NEAR)
 
 
 def measure_growth(whole: RealArray) -> float:
@@ -124,36 +155,25 @@ def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
     return min(system.basis.orders[-1], (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
 
 
-def grows(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool | None:
+def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
     """Whether an odd number of real Floquet multipliers are above one: Hill's determinant is negative there.
 
     The Jacobian of the balance tells as much where every force follows from the motion. Mean friction does not: what
     sets it (``static_friction``) turns the sign where friction is strong enough to wedge, without any motion leaving.
-    Large growth must be borne out in time; next to a fold it is less than what stepping tells.
 
     Args:
-        problem, forces, rigid, coordinates: As in ``find_growth``.
+        system: What was solved.
+        forces, rigid: As in ``find_growth``.
 
     Returns:
         None where a law remembers, and where rounding decides.
     """
-    system = problem.system
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is None:
         return None
-    omega, slopes = system.compliance.omega, slopes.treat_all_as_changing()
-    slowly = find_real_sign(Hill(system, slopes, SLOW * omega, system.basis.orders[-1]).matrix)
-    if slowly >= 0:
-        return None if slowly == 0 else False
-    fast = np.log(FAST) * omega / (2 * np.pi)
-    grows_fast = find_real_sign(Hill(system, slopes, fast, system.basis.orders[-1]).matrix) < 0
-    return is_borne_out(problem, coordinates) if grows_fast else True
-
-
-def find_real_sign(matrix: ComplexArray) -> int:
-    """Sign of a determinant that is real; 0 where rounding decides it."""
-    sign = np.linalg.slogdet(matrix)[0]
-    return int(np.sign(sign.real)) if abs(sign.imag) < SURE * abs(sign.real) else 0
+    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
+    sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
+    return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
 
 
 def tell_where_to(alternates: bool, multiplier: complex) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ewr_fenicsx import indicators
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.floquet import find_growth, grows, tell_where_to
+from ewr_fenicsx.floquet import find_growth, grows, settles, tell_where_to
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
@@ -145,21 +145,34 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def alternates(self) -> bool:
         """Whether motions in time leave it by alternating from period to period; looked at where pairs tap."""
-        taps = any(np.any(state.any(axis=0) & ~state.all(axis=0)) for state in self._open)
-        return self.converged and taps and alternates(self.problem.system, self.forces, self.rigid)
+        turns = self.converged and self._taps and alternates(self.problem.system, self.forces, self.rigid)
+        return turns and not self._settles
 
     @cached_property
     def grows(self) -> bool:
         """Whether motions in time leave it without turning: looked at where ``side`` is negative."""
         here = self._forgetful
-        return self.side < 0 and grows(here.problem, here.forces, here.rigid, here.coordinates) is not False
+        seen = self.side < 0 and grows(here.problem.system, here.forces, here.rigid) is not False
+        return seen and not self._settles
 
     @cached_property
     def multiplier(self) -> complex:
         """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0. See ``floquet.py``."""
-        looked_at = self.converged and self.problem.system.rows.shape[0] and self.orders[-1]
+        if not (self.converged and self.problem.system.rows.shape[0] and self.orders[-1]):
+            return 0.0
         here = self._forgetful
-        return find_growth(here.problem, here.forces, here.rigid, here.coordinates) if looked_at else 0.0
+        found = find_growth(here.problem, here.forces, here.rigid, here.coordinates)
+        return 0.0 if found and self._settles else found
+
+    @cached_property
+    def _taps(self) -> bool:
+        """Whether a pair opens and closes within the period."""
+        return any(np.any(state.any(axis=0) & ~state.all(axis=0)) for state in self._open)
+
+    @cached_property
+    def _settles(self) -> bool:
+        """Whether the motion in time settles beside it; looked at where pairs tap."""
+        return self._taps and settles(self._forgetful.problem, self._forgetful.coordinates)
 
     @cached_property
     def _forgetful(self) -> PeriodicSolution:
