@@ -49,8 +49,8 @@ class ContactProblem:
             themselves as a mass, and at other pairs, or with a ``rho_tangential``, as with the next one; ``"dashpot"``,
             ``v = rho_tangential lam``; ``"spring"``, masses, and ``q = d lam`` with each pair's own flexibility beyond
             the highest harmonic where it is elastic; or ``(K_c,)`` such flexibilities ``d`` [m/N], zero for dashpots.
-            Springs are mostly more accurate at the same harmonics than dashpots, masses by far. Friction in a plane
-            (two tangents a pair) keeps its dashpots.
+            Springs are mostly more accurate at the same harmonics than dashpots, but not at small bodies that rub at
+            several pairs; masses are by far. Friction in a plane (two tangents a pair) keeps its dashpots.
         load: Harmonic -> ``(n,)`` amplitudes in place of the model's own loads [N]; None: the model's.
         wear: ``(K_c,)`` worn depth, which adds to the initial gaps [m]; None: none.
         generalised_inverse: How the static stiffness of floating bodies is inverted; no result depends on it.

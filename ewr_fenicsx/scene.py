@@ -121,7 +121,13 @@ class Excitation(Section):
 class Wear(Section):
     """Fretting wear over many cycles (Archard): the gap grows by `coefficient` x pressure x sliding distance."""
 
-    coefficient: Number = entry(1e-11, "1/Pa", "Wear coefficient of every flank that can wear.", ge=0)
+    coefficient: Number = entry(
+        1e-11,
+        "1/Pa",
+        "Wear coefficient of every flank that can wear. The default is that of the paper's studies; give what was "
+        "measured for your surfaces.",
+        ge=0,
+    )
     cycles: Integer = entry(3000, "-", "Cycles of the excitation to follow.", ge=1)
     tolerance: Number | None = entry(
         None,
@@ -267,6 +273,8 @@ def load_scene(path: str | Path, *, warn: bool = True) -> Scene:
     except OSError as error:
         raise SceneError(f"scene {path}: cannot be read: {error.strerror}; give the path of a .toml file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        if path.suffix == ".msh":
+            raise SceneError(f"scene {path}: a mesh; name it in a scene (.toml), as geometry.source") from None
         raise SceneError(f"scene {path}: not valid TOML: {explain_syntax(error)}") from None
     scene = Scene.model_validate(data, context={"file": path, "folder": path.resolve().parent})
     for doubt in scene.doubts if warn else ():

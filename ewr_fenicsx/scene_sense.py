@@ -21,6 +21,8 @@ SOFTEST = 1e7  # Young's modulus [Pa]
 DENSITIES = (100.0, 25e3)  # [kg/m^3]
 THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of the mesh [m]
 SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
+ROUGHEST = 3.0  # coefficient of friction
+MANY_CYCLES = 100_000  # of which every one is solved
 
 
 def find_contradictions(scene: Scene) -> Iterator[str]:
@@ -44,6 +46,16 @@ def find_doubts(scene: Scene) -> Iterator[str]:
                 f"{where}.friction = 0: friction that never resists, at the cost of its unknowns; "
                 'was tangential = "frictionless" meant?'
             )
+        if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
+            yield (
+                f"{where}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given in "
+                "per cent) meant?"
+            )
+    if scene.wear and scene.wear.cycles > MANY_CYCLES and scene.wear.tolerance is scene.solver.accuracy is None:
+        yield (
+            f"wear.cycles = {scene.wear.cycles}: every one of them is solved; give wear.tolerance (0.01: errors up to "
+            "1 % of the final depth), and most are jumped over"
+        )
     opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
     if opening and not static:
         yield (
@@ -134,7 +146,7 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
     for where, coefficient in wear.items():
         if coefficient is not None and coefficient > SOFTEST_SURFACE:
             yield (
-                f"{where} = {coefficient:g} 1/Pa is far above that of any joint (1e-11 is usual); was "
+                f"{where} = {coefficient:g} 1/Pa is far above that of any joint (the default is 1e-11); was "
                 f"{coefficient * 1e-6:g} (given in 1/MPa, which is mm^2/N) meant?"
             )
 

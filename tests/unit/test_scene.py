@@ -109,6 +109,12 @@ def test_scene_that_is_not_utf_8_is_refused_by_its_line(tmp_path):
         load_scene(tmp_path / "scene.toml")
 
 
+def test_a_mesh_in_place_of_a_scene_is_told_as_such(tmp_path):
+    (tmp_path / "joint.msh").write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n")
+    with pytest.raises(SceneError, match=r"joint.msh: a mesh; name it in a scene \(.toml\), as geometry.source$"):
+        load_scene(tmp_path / "joint.msh")
+
+
 def test_scene_that_an_editor_marked_as_utf_8_is_read(tmp_path):
     (tmp_path / "builder.py").touch()
     (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8-sig")

@@ -204,6 +204,8 @@ def test_all_contradictions_come_at_once(read):
     [
         (SCENE + "[contact]\nfriction = 0", 'contact.friction = 0: friction that never resists.*"frictionless" meant'),
         (SCENE + "[flanks.left]\nfriction = 0", "flanks.left.friction = 0: friction that never resists"),
+        (SCENE + "[contact]\nfriction = 30", r"contact.friction = 30 is that of no dry joint; was 0.3 \(given in per"),
+        (SCENE + "[wear]\ncycles = 100000000", r"wear.cycles = 100000000: every one of them is solved; give wear.tol"),
         (HEAD + SHAKE + AT, 'contact.normal = "unilateral", and no load is static: nothing presses the joint together'),
         (HEAD + PULL + AT, "excitation.frequency = 1000: no load oscillates, so that it does nothing"),
         (
