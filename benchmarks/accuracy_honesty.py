@@ -60,6 +60,7 @@ BLADE = (
 GALLERY = (
     *(("friction_damped_beam", f) for f in (217.0, 150.0, 175.0, 200.0, 225.0, 250.0, 275.0, 300.0)),
     *(("two_blocks", 1000.0), ("dovetail", 1400.0), ("bolted_lap", 250.0), ("tapping_rod", 6000.0)),
+    *(("platform_damper", f) for f in (680.0, 710.0, 735.0, 770.0, 790.0)),
 )
 
 
