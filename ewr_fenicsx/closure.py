@@ -38,6 +38,8 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
 def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int) -> RealArray:
     """``(m,)`` mass of contact rows that move beyond a highest harmonic as masses by themselves, zero of others [kg].
 
+    Not of those that damping holds there more than inertia does.
+
     Args:
         model: The reduced model.
         rows: ``(m, n)`` rows along which pairs rub, all of them: they may not move each other.
@@ -51,8 +53,10 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
         own, rates = measure_beyond(model, rows, omega, beyond), beyond * omega
     except ModelError:  # one hits an undamped mode exactly
         return found
-    mass = np.real(-1 / (own * rates[:, None] ** 2))
-    alike = np.flatnonzero((mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0)))
+    inertia = -1 / (own * rates[:, None] ** 2)
+    mass, damped = inertia.real, np.abs(inertia.imag)
+    alike = (mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0))
+    alike = np.flatnonzero(alike & np.all(damped < mass, axis=0))
     if alike.size:
         moved = np.array([receptance(model, rate, rows, rows[alike].T) for rate in rates])
         others = np.abs(moved).sum(axis=1) - np.abs(own[:, alike])

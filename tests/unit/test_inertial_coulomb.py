@@ -213,6 +213,9 @@ def test_masses_are_those_of_pairs_that_move_by_themselves():
     )
     np.testing.assert_allclose(find_masses(model, model.tangential[:2], 1.0, 9), [2.0, 3.0], rtol=0.02)
     np.testing.assert_allclose(find_masses(model, model.tangential[2:], 1.0, 9), [1.2], rtol=0.02)
+    for damping, counts in ((9.0, True), (11.0, False)):  # of m omega; the first harmonic left out is the tenth
+        damped = replace(model, damping=damping * mass)
+        assert np.all((find_masses(damped, model.tangential[:2], 1.0, 9) > 0) == counts)
     np.testing.assert_array_equal(find_masses(model, model.tangential[[0, 2]], 1.0, 9), 0.0)  # one moves the other
     np.testing.assert_array_equal(find_masses(model, model.tangential[:2], 1e-3, 9), 0.0)  # springs hold them there
     joint = dovetail()
