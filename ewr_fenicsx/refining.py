@@ -121,7 +121,8 @@ def join_points(
     for point, here in zip(points, found, strict=True):
         moved, wanted = measure_gap(point, here.solution), point.problem.frequency in frequencies
         fell = moved > LARGEST_SURPRISE
-        crossed = moved > SAME * here.accuracy and point.side * here.solution.side < 0
+        other_side = moved > SAME * here.accuracy and point.side * here.solution.side < 0
+        crossed = other_side and (point.grows or here.solution.grows)  # pairs that lift off turn the sign as well
         if crossed and not wanted:
             continue
         if kept and crossed and not fell:
