@@ -321,7 +321,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=24, help="sampled cases a small model [24]")
     parser.add_argument("--masses", type=int, default=18, help="masses that rub on a wall [18]")
     parser.add_argument("--blade", type=int, default=len(BLADE), help="states of the blade root [8]")
-    parser.add_argument("--gallery", type=int, default=len(GALLERY), help="states of other scenes [12]")
+    parser.add_argument("--gallery", type=int, default=len(GALLERY), help="states of other scenes [all]")
     parser.add_argument("--seed", type=int, default=11, help="of the sample [11]")
     parser.add_argument("--cap", type=float, default=12.0, help="processor seconds a solve [12]")
     parser.add_argument("--quick", action="store_true", help="4 sampled cases a model, 3 masses, no blade root")
