@@ -37,8 +37,9 @@ GROWTH = 1.02  # a period, from which on it counts: less is within the errors of
 BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
 # Periods in which the motion in time that begins on a solution may settle beside it. Its changes from each to the next
 # have then fallen to this share of the first five, are not far above the least, or next to nothing beside the first,
-# and never rose; it is as near as this, and not so near that stepping itself may be what moved it
+# small beside the motion, and never rose; it is as near as this, and not so near that stepping may be what moved it
 SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
+STEADY = 2e-3
 # A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
@@ -109,7 +110,7 @@ def settles(problem: ContactProblem, coordinates: ComplexArray) -> bool:
         return False
     first, last = changes[:5].max(), changes[-1]
     fallen = last < FALLEN * first and last < max(ABOVE_LEAST * changes.min(), NOTHING * first)
-    return bool(fallen and changes.max() < RISEN * first and AT_ONE < distance < NEAR)
+    return bool(fallen and last < STEADY and changes.max() < RISEN * first and AT_ONE < distance < NEAR)
 
 
 def measure_growth(whole: RealArray) -> float:
