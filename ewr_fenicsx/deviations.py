@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from ewr_fenicsx.time_stepping import Period, TimeScheme
 
 STEPS_IN_TIME, THETA = 512, 0.52  # a period of the motion in time; they damp what they do not resolve
+FINE_STEPS, FINE_THETA = 1024, 0.505  # where it counts whether it settles: more damping has it settle too soon
 PERIODS = 3  # looked at, after a first one
 CONTACT_TOLERANCE, SWEEPS, BOUND = 1e-6, 200, 1e100  # of a step; and a motion past this has left
 VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
@@ -138,7 +139,7 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
         ImportError: There is no compiler for it.
     """
     balance, along = HarmonicBalance(problem.system, 1.0), []
-    for scheme, period in islice(step_from(problem, coordinates), 1 + PERIODS):
+    for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), 1 + PERIODS):
         along.append(_differentiate_period(balance, scheme, period))
     if len(along) <= PERIODS:
         return None
@@ -159,18 +160,21 @@ def measure_changes(problem: ContactProblem, coordinates: ComplexArray, periods:
     Raises:
         ModelError, ImportError: As ``differentiate_along``.
     """
-    motion = np.array([period.positions for _, period in islice(step_from(problem, coordinates), periods)])
+    stepped = step_from(problem, coordinates, FINE_STEPS, FINE_THETA)
+    motion = np.array([period.positions for _, period in islice(stepped, periods)])
     swing = np.linalg.norm(motion[-1] - motion[-1].mean(axis=0)) if len(motion) else 1.0
     swing = max(swing, np.finfo(float).tiny)
     changes = np.linalg.norm(np.diff(motion, axis=0), axis=(1, 2)) / swing if len(motion) > 1 else np.zeros(0)
     return changes, float(np.linalg.norm(motion[-1] - motion[0]) / swing) if len(motion) else np.inf
 
 
-def step_from(problem: ContactProblem, coordinates: ComplexArray) -> Iterator[tuple[TimeScheme, Period]]:
+def step_from(
+    problem: ContactProblem, coordinates: ComplexArray, steps: int, theta: float
+) -> Iterator[tuple[TimeScheme, Period]]:
     """The motion in time that begins on a solution, period by period, within bounds."""
     from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
 
-    scheme = TimeScheme(problem, STEPS_IN_TIME, THETA)
+    scheme = TimeScheme(problem, steps, theta)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
     impulse = np.zeros(len(problem.system.rows))

@@ -39,7 +39,7 @@ BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is 
 # have then fallen to this share of the first five, are not far above the least, or next to nothing beside the first,
 # small beside the motion, and never rose; it is as near as this, and not so near that stepping may be what moved it
 SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
-STEADY = 2e-3
+STEADY = 1e-3
 # A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
