@@ -15,7 +15,7 @@ from ewr_fenicsx.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+SCRIPT, READER, LOADS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 def to_scipy(matrix):
@@ -104,3 +104,12 @@ def test_what_the_page_names_exists():
     headings = [re.sub(r"[^\w -]", "", h).lower().replace(" ", "-") for h in re.findall(r"^## (.+)$", PAGE, re.M)]
     linked = re.findall(r"how_to\.md#([\w-]+)", readme)
     assert linked == headings
+
+
+def test_a_damper_pressed_harder_than_best_damps_less(capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    exec(compile(LOADS.replace("800.0, 31)", "800.0, 7)"), "docs/how_to.md", "exec"), {})
+    told = re.findall(r"^(\d+) N: peak ([.\d]+) mm at [.\d]+ Hz$", capsys.readouterr().out, flags=re.MULTILINE)
+    assert [force for force, _ in told] == ["100", "300", "1000"]
+    peaks = [float(peak) for _, peak in told]
+    assert peaks == sorted(peaks) and peaks[-1] > 2 * peaks[0]
