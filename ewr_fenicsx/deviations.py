@@ -160,12 +160,17 @@ def measure_changes(problem: ContactProblem, coordinates: ComplexArray, periods:
     Raises:
         ModelError, ImportError: As ``differentiate_along``.
     """
-    stepped = step_from(problem, coordinates, FINE_STEPS, FINE_THETA)
-    motion = np.array([period.positions for _, period in islice(stepped, periods)])
-    swing = np.linalg.norm(motion[-1] - motion[-1].mean(axis=0)) if len(motion) else 1.0
-    swing = max(swing, np.finfo(float).tiny)
-    changes = np.linalg.norm(np.diff(motion, axis=0), axis=(1, 2)) / swing if len(motion) > 1 else np.zeros(0)
-    return changes, float(np.linalg.norm(motion[-1] - motion[0]) / swing) if len(motion) else np.inf
+    changes, first, last = [], None, None
+    for _, period in islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods):
+        if last is None:
+            first = period.positions
+        else:
+            changes.append(np.linalg.norm(period.positions - last))
+        last = period.positions
+    if last is None:
+        return np.zeros(0), np.inf
+    swing = max(float(np.linalg.norm(last - last.mean(axis=0))), np.finfo(float).tiny)
+    return np.array(changes) / swing, float(np.linalg.norm(last - first)) / swing
 
 
 def step_from(
