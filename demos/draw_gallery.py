@@ -26,8 +26,13 @@ from ewr_fenicsx.study import run_study
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
 SCENES = (
-    *("friction_damped_beam", "two_blocks", "dovetail", "blade_root"),
-    *("platform_damper", "bolted_lap", "tapping_rod"),
+    "friction_damped_beam",
+    "two_blocks",
+    "dovetail",
+    "blade_root",
+    "platform_damper",
+    "bolted_lap",
+    "tapping_rod",
 )
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
 SAMPLES = 256

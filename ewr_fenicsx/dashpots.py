@@ -26,10 +26,11 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     Geometric mean over some of them, for a single one may hit a resonance; with two tangents, of a size that does not
     depend on where they point. None without friction [(m/s)/N].
     """
-    weight = read_friction_weight(problem)
-    if weight is None:
+    if read_weight(problem, "tangential") is None:
         return None
-    system, beyond = replace_masses(problem).system, list_beyond(problem.basis.orders[-1])
+    problem = replace_masses(problem)
+    weight, system = read_weight(problem, "tangential"), problem.system
+    beyond = list_beyond(problem.basis.orders[-1])
     rate = np.array(beyond)[:, None] * problem.omega
     measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond)  # noqa: E731
     for law in system.laws:

@@ -44,8 +44,6 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
     touches = solution.history("normal_force", ROUND).max(axis=0) > 0
     slid, spacing = np.abs(solution.history("slip", ROUND)).max(axis=0), measure_spacing(interface)
     far = np.flatnonzero(touches & (slid > spacing))
-    wave = FourierBasis(solution.orders, ROUND)
-    outputs = {name: wave.synthesise(solution.output(name)[:, None]) for name in solution.problem.model.outputs}
     doubts = []
     if far.size:
         k = far[np.argmax(slid[far] / spacing[far])]
@@ -54,7 +52,8 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
             f"{1e3 * slid[k]:.3g} mm of {1e3 * spacing[k]:.3g} mm, and would meet others than those opposite; "
             "see loads, damping and units"
         )
-    largest = {name: float(np.abs(motion).max()) for name, motion in outputs.items()}
+    wave, names = FourierBasis(solution.orders, ROUND), solution.problem.model.outputs
+    largest = {name: float(np.abs(wave.synthesise(solution.output(name)[:, None])).max()) for name in names}
     doubts += [
         f"{name} moves by up to {1e3 * size:.3g} mm, a body is only {1e3 * through:.3g} mm thick: linear elasticity "
         "holds for small motions; see loads, damping and units"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
@@ -18,6 +17,7 @@ from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
+    COARSE_TOLERANCE,
     FINE_LEVELS,
     LARGEST_TRACED,
     SPRING_LEVELS,
@@ -152,11 +152,8 @@ def list_rungs(
         return
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
-    if problem.has_springs:
-        first = partial(climb, levels=SPRING_LEVELS, coarse_tolerance=SPRING_TOLERANCE)
-    else:
-        first = partial(climb, levels=COARSE_LEVELS)
-    yield "growing harmonics", lambda _: first(balance, tolerance, linear_solver)
+    levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
+    yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse)
     if has_own_weights(problem):
         given = (problem, balance, start, tolerance, linear_solver)
         yield "from the default weights", lambda _: leave_default_weights(*given)

@@ -46,11 +46,6 @@ def find_doubts(scene: Scene) -> Iterator[str]:
                 f"{where}.friction = 0: friction that never resists, at the cost of its unknowns; "
                 'was tangential = "frictionless" meant?'
             )
-        if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
-            yield (
-                f"{where}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given in "
-                "per cent) meant?"
-            )
     if scene.wear and scene.wear.cycles > MANY_CYCLES and scene.wear.tolerance is scene.solver.accuracy is None:
         yield (
             f"wear.cycles = {scene.wear.cycles}: every one of them is solved; give wear.tolerance (0.01: errors up to "
@@ -141,6 +136,11 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
     for where, laws in laws_in_force(scene).items():
         if laws.initial_gap > WIDEST:
             yield f"{where}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"
+        if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
+            yield (
+                f"{where}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given in "
+                "per cent) meant?"
+            )
     wear = {f"flanks.{name}.wear": own.wear for name, own in scene.flanks.items()}
     wear |= {"wear.coefficient": scene.wear and scene.wear.coefficient}
     for where, coefficient in wear.items():

@@ -74,18 +74,19 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
         OutputError: ``work`` holds another study.
     """
-    study = _solve(chain, Stopwatch(progress), work if can_resume(chain.scene) else None)
-    doubts = findings.doubt_small_motion(study.solution, study.chain.interface, measure_thinnest_body(study.chain))
+    through = measure_thinnest_body(chain)
+    study = _solve(chain, Stopwatch(progress), work if can_resume(chain.scene) else None, through)
+    doubts = findings.doubt_small_motion(study.solution, chain.interface, through)
     told = "\n".join([study.told, *(f"  NOT a small motion: {doubt}" for doubt in doubts)])
     return replace(study, told=told, facts={**study.facts, "doubts_of_small_motion": doubts})
 
 
-def _solve(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
+def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> Study:
     scene = chain.scene
     if len(scene.frequencies) > 1:
         return _sweep(chain, watch, work)
     if scene.wear:
-        return _wear(chain, watch, work)
+        return _wear(chain, watch, work, through)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
     if scene.solver.accuracy is not None and problem.frequency:
         return _solve_to_accuracy(chain, watch, problem)
@@ -237,7 +238,7 @@ def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[C
         problem, _ = modes.keep_more(count)
 
 
-def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
+def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> Study:
     from ewr_fenicsx.cycle_jumps import Tolerance
     from ewr_fenicsx.wear import evolve_wear
 
@@ -245,7 +246,6 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     scene, interface = chain.scene, chain.interface
     asked, accuracy, modes = scene.wear, scene.solver.accuracy, _Modes(chain, watch)
     share = accuracy if asked.tolerance is None else asked.tolerance
-    through = measure_thinnest_body(chain)
     file = None if work is None else work / WEAR_FILE.format(chain.mesh.domain.comm.rank)  # every rank does all of it
     with watch.stage("wear"), refuse_other_work(work):
         history = evolve_wear(

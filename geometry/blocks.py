@@ -119,6 +119,16 @@ def check_positive(parameters: Mapping[str, float]) -> None:
             raise ValueError(f"{name} = {value}: expected a positive number")
 
 
+def check_angle(name: str, value: float) -> None:
+    """Refuse the angle of a flank of a builder [degrees] that is far from usual.
+
+    Raises:
+        ValueError: Names the parameter.
+    """
+    if not 15.0 <= value <= 75.0:
+        raise ValueError(f"{name} = {value}: expected degrees from the x direction, 15 to 75")
+
+
 def mesh_bodies(bodies: Sequence[Body], boundaries: Mapping[str, Sequence[int]]) -> None:
     """Name the bodies and boundaries as physical groups, and mesh them.
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from math import cos, radians, sin, tan
 
-from blocks import Body, Point, check_positive, mesh_bodies
+from blocks import Body, Point, check_angle, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -55,8 +55,7 @@ def build(
         ValueError: A parameter has the wrong sign, or the root does not fit into the disk; names the parameter.
     """
     check_positive(locals())
-    if not 15.0 <= flank_angle <= 75.0:
-        raise ValueError(f"flank_angle = {flank_angle}: expected degrees from the x direction, 15 to 75")
+    check_angle("flank_angle", flank_angle)
     if pairs < 2:
         raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the flank")
     neck, tip, edge = neck_width / 2, blade_thickness / 2, disk_width / 2

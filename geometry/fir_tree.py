@@ -36,7 +36,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, hypot, radians, sin, sqrt, tan
 
-from blocks import Body, Point, check_positive, mesh_bodies
+from blocks import Body, Point, check_angle, check_positive, mesh_bodies
 from outlines import (
     Fillet,
     Piece,
@@ -185,8 +185,7 @@ def name_flank(lobe: int, lobes: int, side: int) -> str:
 def _check_parameters(parameters: dict[str, float]) -> None:
     check_positive(parameters)
     for name in ("flank_angle", "underside_angle"):
-        if not 15.0 <= parameters[name] <= 75.0:
-            raise ValueError(f"{name} = {parameters[name]}: expected degrees from the x direction, 15 to 75")
+        check_angle(name, parameters[name])
     if parameters["pairs"] < 2:
         raise ValueError(f"pairs = {parameters['pairs']}: expected at least 2, the ends of the flank")
     if parameters["sector_angle"] >= 90.0:

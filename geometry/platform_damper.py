@@ -22,7 +22,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import radians, tan
 
-from blocks import Body, check_positive, mesh_bodies
+from blocks import Body, check_angle, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -57,8 +57,7 @@ def build(
         ValueError: A parameter has the wrong sign, or the pieces do not fit together; names the parameter.
     """
     check_positive(locals())
-    if not 15.0 <= flank_angle <= 75.0:
-        raise ValueError(f"flank_angle = {flank_angle}: expected degrees from the x direction, 15 to 75")
+    check_angle("flank_angle", flank_angle)
     if pairs < 2:
         raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the flank")
     if airfoil_thickness >= shank_thickness:

@@ -21,8 +21,13 @@ from ewr_fenicsx.mesh import load_builder
 
 ROOT = Path(__file__).parents[2]
 SCENES = (
-    *("friction_damped_beam", "two_blocks", "dovetail", "blade_root"),
-    *("platform_damper", "bolted_lap", "tapping_rod"),
+    "friction_damped_beam",
+    "two_blocks",
+    "dovetail",
+    "blade_root",
+    "platform_damper",
+    "bolted_lap",
+    "tapping_rod",
 )
 
 
