@@ -147,7 +147,7 @@ def pose_full_wear() -> tuple[ContactProblem, np.ndarray]:
 
 @contextmanager
 def count_calls() -> Iterator[Counter]:
-    """Counts SNES objects, law evaluations and climbs of the ladder while it is open."""
+    """Counts SNES objects, law evaluations and cold starts while it is open."""
     import ewr_fenicsx.newton as newton
     import ewr_fenicsx.snes as snes
     from ewr_fenicsx.bonded import Bond
@@ -170,7 +170,7 @@ def count_calls() -> Iterator[Counter]:
 
     with (
         patch.object(snes.PETSc, "SNES", CountedSNES),
-        patch.object(newton, "climb", counted("ladder", newton.climb)),
+        patch.object(newton, "start_cold", counted("ladder", newton.start_cold)),
         patch.object(Signorini, "evaluate", counted("Signorini", Signorini.evaluate)),
         patch.object(Coulomb, "evaluate", counted("Coulomb", Coulomb.evaluate)),
         patch.object(Bond, "evaluate", counted("Bond", Bond.evaluate)),

@@ -285,7 +285,7 @@ def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, 
     """
     ways = [("given start", posed, before)]
     if cold:
-        ways.append(("growing harmonics", posed, None))
+        ways.append(("cold start", posed, None))
         if (usual := use_default_weights(posed)) is not posed:
             ways.append(("default weights", usual, None))
     tried, steps = [], 0

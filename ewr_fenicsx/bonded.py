@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +58,14 @@ class Bond(Law):
     rho: RealArray
     direction: str = "normal"
     linear: bool = True
+    opposes = "displacement"
 
     @property
     def static_target(self) -> RealArray:
         return np.zeros(self.pairs.size)
+
+    def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
+        return trial["normal"]
 
     def evaluate(self, motion: Motion) -> Response:
         displacement = motion.displacement["normal"]

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.cone import FrictionLaw, project_on_cone
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
@@ -80,7 +80,7 @@ class Frictionless(LawKind):
 
 
 @dataclass(frozen=True, eq=False)
-class Coulomb(Law):
+class Coulomb(FrictionLaw):
     """Dry friction in one tangential direction with the true, varying cone.
 
     ``lam_T - clip(lam_T - v / rho, -mu c, mu c) = 0`` with ``c = max(0, lam_N)``: the velocity-level
@@ -104,9 +104,12 @@ class Coulomb(Law):
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
 
+    @property
+    def impedance(self) -> RealArray:
+        return 1 / self.rho
+
     def evaluate(self, motion: Motion) -> Response:
-        force, normal = motion.force["tangential"], motion.force["normal"]
-        limit = self.friction * np.maximum(0.0, normal)
+        force, normal, limit = motion.force["tangential"], motion.force["normal"], self.limit(motion.force)
         trial = force - motion.velocity["tangential"] / self.rho
         forward, backward = trial >= limit, trial <= -limit
         slips = forward | backward
@@ -121,7 +124,7 @@ class Coulomb(Law):
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        limit = self.friction * np.maximum(0.0, motion.force["normal"])
+        limit = self.limit(motion.force)
         trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
         return {"admissible_friction_force": project_on_cone(trial, limit), "slipping": np.abs(trial) >= limit}
 
@@ -145,26 +148,3 @@ class RoundedCoulomb(Rounded):
                 Partial("force", "normal", -by_limit * law.friction * opening),
             ),
         )
-
-
-def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:
-    """Nearest friction force within the Coulomb limit, sample by sample.
-
-    Args:
-        force: Trial friction force, ``(n_t, K)`` [N].
-        limit: ``mu max(0, lam_N)``, ``(n_t, K)`` [N].
-
-    Returns:
-        Admissible friction force, ``(n_t, K)`` [N].
-
-    Raises:
-        ModelError: A limit is negative or NaN; names the first sample and pair.
-
-    Source: Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
-    """
-    if not np.all(limit >= 0):
-        sample, pair = np.argwhere(~(limit >= 0))[0]
-        raise ModelError(
-            f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative"
-        )
-    return np.clip(force, -limit, limit)

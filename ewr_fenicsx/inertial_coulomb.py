@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ewr_fenicsx.cone import FrictionLaw
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.law_kinds import Law, Motion, Partial, Response
+from ewr_fenicsx.law_kinds import Motion, Partial, Response
 
 ROUNDS = 100  # of a period in search of the momentum that comes back
 ROUNDING = 1e-14
@@ -115,7 +116,7 @@ def _run_period(momentum: float, drive: list[float], limit: list[float]) -> list
 
 
 @dataclass(frozen=True, eq=False)
-class InertialCoulomb(Law):
+class InertialCoulomb(FrictionLaw):
     """Dry friction in one tangential direction with the true, varying cone, closed by masses.
 
     The residual is what the mass's momentum lacks of the harmonics kept. Its mean, which would vanish for any mean
@@ -143,8 +144,7 @@ class InertialCoulomb(Law):
     def run(self, motion: Motion) -> tuple[Slide, RealArray]:
         """How the masses slide, and the admissible friction force ``(n_t, K)`` [N]."""
         drive = self.mass * motion.acceleration["tangential"] - motion.force["tangential"]
-        limit = self.friction * np.maximum(0.0, motion.force["normal"])
-        found = slide(drive, limit)
+        found = slide(drive, self.limit(motion.force))
         force = found.momentum - np.roll(found.momentum, 1, axis=0) - drive
         return found, np.where(found.free, 0.0, force)
 

@@ -3,12 +3,14 @@
 Each function is one way from the full-stick solution to that of a balance, and returns an ``Attempt`` whose iterations
 are all the Newton steps that the way took:
 
-1. ``climb``: growing sets of harmonics, each started at the one before.
-2. ``walk_weights``: weights of the laws far from the defaults are approached from there.
-3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-4. ``trace_load``: the oscillating load from a small share to the whole, past folds.
+1. ``start_from_splitting``: Newton from where operator splitting ends.
+2. ``climb``: growing sets of harmonics, each started at the one before.
+3. ``walk_weights``: weights of the laws far from the defaults are approached from there.
+4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+5. ``trace_load``: the oscillating load from a small share to the whole, past folds.
 
-``climb`` takes 3. and 4. along: through more sets of harmonics, with both on any set where Newton stalls.
+``start_cold`` is the first, or else the second. ``climb`` takes 4. and 5. along: through more sets of harmonics, with
+both on any set where Newton stalls.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
+from ewr_fenicsx.splitting import Splitting, can_split, settle
 
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
@@ -42,7 +45,53 @@ LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
 
+# Cold starts of so many unknowns and more begin with a splitting: in small joints Newton steps cost no more than its
+# iterations. Newton's method takes over at a defect of ``SPLIT_TOLERANCE``, lower where its steps are dear, or a little
+# above; from there it takes few steps, if it arrives.
+SPLIT_FROM, DEAR_FROM, SPLIT_LEVELS = 200, 2000, (5, 15, 31)
+SPLIT_TOLERANCE, DEAR_TOLERANCE, NEAR_ENOUGH, SPLIT_STEPS = 1e-3, 1e-4, 2.0, 25
+
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
+
+
+def start_cold(
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    levels: tuple[int, ...],
+    coarse_tolerance: float,
+) -> Attempt:
+    """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics."""
+    split = start_from_splitting(balance, tolerance, linear_solver)
+    if split.converged or split.walks:
+        return split
+    climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance)
+    return replace(climbed, iterations=split.iterations + climbed.iterations)
+
+
+def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
+    """Newton from where a splitting ends, on few harmonics first; full stick where that is nowhere near a solution.
+
+    High harmonics drive bodies far above their modes, where it may not end: what was found with fewer then starts it.
+    """
+    stick = balance.pack(*balance.full_stick)
+    none = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "no splitting", False)
+    if none.residual <= tolerance or balance.size < SPLIT_FROM or not can_split(balance):
+        return none
+    goal, state, start = SPLIT_TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE, None, None
+    for orders in choose_sets(balance.basis.orders, SPLIT_LEVELS, find_loaded(balance)):
+        level = balance if orders == balance.basis.orders else restrict(balance, orders)
+        try:
+            splitting = Splitting(level)
+            found = settle(splitting, splitting.begin(state), goal)
+        except np.linalg.LinAlgError:  # as next to a mode without damping
+            break
+        if not found.defect < NEAR_ENOUGH * goal:
+            break
+        state, start = found.state, embed(level.unpack(splitting.unknowns(found.state)), level, balance)
+    if start is None:
+        return none
+    return run_newton(balance, balance.pack(*start), tolerance, linear_solver, SPLIT_STEPS, near=True)
 
 
 def climb(
@@ -57,11 +106,10 @@ def climb(
 
     On a set where Newton stalls, ``rungs`` are tried in turn, if the set is small enough for them.
     """
-    loaded = [h for h, f in balance.system.load.items() if np.any(f)]
     below, attempt, steps = None, None, 0
-    for orders in choose_sets(balance.basis.orders, levels, loaded):
+    for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
         last = orders == balance.basis.orders
-        level = balance if last else HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
+        level = balance if last else restrict(balance, orders)
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
         goal, limit = (tolerance, None) if last else (coarse_tolerance, COARSE_STEPS)
         attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit, near=below is not None)
@@ -71,6 +119,16 @@ def climb(
         steps += attempt.iterations
         below = level
     return replace(attempt, iterations=steps)
+
+
+def restrict(balance: HarmonicBalance, orders: tuple[int, ...]) -> HarmonicBalance:
+    """The balance with fewer harmonics."""
+    return HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
+
+
+def find_loaded(balance: HarmonicBalance) -> list[int]:
+    """Harmonics with a load."""
+    return [h for h, f in balance.system.load.items() if np.any(f)]
 
 
 def choose_sets(orders: tuple[int, ...], levels: tuple[int, ...], loaded: list[int]) -> list[tuple[int, ...]]:

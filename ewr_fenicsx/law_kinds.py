@@ -99,6 +99,10 @@ class Law(Protocol):
         stick_flexibility: ``(K,)`` or scalar flexibility of the law itself in the full-stick start [m/N].
         linear: Whether the residual is linear in all that the law sees: where every law is, nothing is iterated.
         closes: What closes its truncation in place of a weight, ``"springs"`` or ``"masses"``; "": nothing does.
+        opposes: The motion that the force opposes, ``"displacement"`` or ``"velocity"``, where the law is a projection:
+            ``force = admit(force - c motion)`` with any positive ``c``. A cold start then finds its way more quickly
+            (``splitting.py``); "": it is none.
+        impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none.
     """
 
     direction: str
@@ -110,9 +114,18 @@ class Law(Protocol):
     stick_flexibility: float | RealArray = 0.0
     linear: bool = False
     closes: str = ""
+    opposes: str = ""
+    impedance: RealArray | None = None
 
     def evaluate(self, motion: Motion) -> Response:
         """Residual and generalised derivatives at every sample."""
+        raise NotImplementedError
+
+    def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
+        """The admissible force ``(n_t, K)`` nearest to a trial force, direction -> ``(n_t, K)`` [N].
+
+        Forces of the other side (normal, tangential) are what the law has to take as they are.
+        """
         raise NotImplementedError
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:

@@ -24,6 +24,7 @@ from ewr_fenicsx.ladder import (
     SPRING_TOLERANCE,
     climb,
     sharpen_corners,
+    start_cold,
     trace_load,
     walk_weights,
 )
@@ -58,8 +59,8 @@ def solve(
     """Periodic solution of a contact problem.
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
-    holds: from the linear full-stick solution up through growing sets of harmonics, each starting at the one before;
-    from where a few periods of time stepping end; laws with rounded corners that are sharpened along their branch;
+    holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
+    harmonics, each starting at the one before; from where a few periods of time stepping end; laws with rounded corners that are sharpened along their branch;
     these through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds;
     and that tracing by itself. Weights of one's own that the first climb does not find are come to from a solution with
     the default ones, which takes all these rungs and is the answer itself where no way leads on.
@@ -153,7 +154,7 @@ def list_rungs(
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
     levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
-    yield "growing harmonics", lambda _: climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse)
+    yield "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse)
     if has_own_weights(problem):
         given = (problem, balance, start, tolerance, linear_solver)
         yield "from the default weights", lambda _: leave_default_weights(*given)

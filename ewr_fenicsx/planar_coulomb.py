@@ -8,10 +8,12 @@ Source: the equality-based form of the projections of Alart & Curnier (1991), do
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from ewr_fenicsx.cone import FrictionLaw
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.law_kinds import Law, Motion, PairGroup, Partial, Response
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
@@ -37,7 +39,7 @@ def build_in_plane(
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarCoulomb(Law):
+class PlanarCoulomb(FrictionLaw):
     """One direction of dry friction in a plane; it sees both.
 
     ``lam_T - s min(1, mu c / |s|) = 0`` with ``s = lam_T - v / rho`` and ``c = max(0, lam_N)``, where ``lam_T`` and
@@ -59,9 +61,16 @@ class PlanarCoulomb(Law):
     static_force_row: float
     static_displacement_row: float | RealArray = 0.0
 
+    @property
+    def impedance(self) -> RealArray:
+        return 1 / self.rho
+
+    def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
+        limit, size = self.limit(trial), np.hypot(*(trial[d] for d in PLANE))
+        return trial[self.direction] * np.minimum(1.0, limit / np.maximum(size, np.finfo(float).tiny))
+
     def evaluate(self, motion: Motion) -> Response:
-        normal = motion.force["normal"]
-        limit = self.friction * np.maximum(0.0, normal)
+        normal, limit = motion.force["normal"], self.limit(motion.force)
         trial, size = self.try_stick(motion)
         slips = size >= limit
         cone = np.where(slips & (normal > 0), self.friction, 0.0)
@@ -96,7 +105,7 @@ class PlanarCoulomb(Law):
         return Response(motion.force[self.direction] - share * trial[self.direction], tuple(partials))
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        limit = self.friction * np.maximum(0.0, motion.force["normal"])
+        limit = self.limit(motion.force)
         trial, size = self.try_stick(motion)
         share = np.minimum(size, limit) / np.where(size > 0, size, 1.0)
         return {"admissible_friction_force": share * trial[self.direction], "slipping": size >= limit}

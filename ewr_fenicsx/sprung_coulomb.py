@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ewr_fenicsx.cone import FrictionLaw
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.law_kinds import Law, Motion, Partial, Response
+from ewr_fenicsx.law_kinds import Motion, Partial, Response
 
 
 class Stop(NamedTuple):
@@ -62,7 +63,7 @@ def run_stop(drive: RealArray, limit: RealArray) -> Stop:
 
 
 @dataclass(frozen=True, eq=False)
-class SprungCoulomb(Law):
+class SprungCoulomb(FrictionLaw):
     """Dry friction in one tangential direction with the true, varying cone, closed by springs.
 
     Args:
@@ -84,7 +85,7 @@ class SprungCoulomb(Law):
     def run(self, motion: Motion) -> Stop:
         """The admissible friction force, and since when each pair sticks."""
         drive = motion.force["tangential"] - motion.oscillation["tangential"] / self.flexibility
-        return run_stop(drive, self.friction * np.maximum(0.0, motion.force["normal"]))
+        return run_stop(drive, self.limit(motion.force))
 
     def evaluate(self, motion: Motion) -> Response:
         force, since, sign = self.run(motion)

@@ -5,6 +5,7 @@ Source: the equality-based form of the projections of Alart & Curnier (1991), do
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,10 +53,18 @@ class Signorini(Law):
     initial_gap: RealArray
     rho: RealArray
     direction: str = "normal"
+    opposes = "displacement"
 
     @property
     def static_target(self) -> RealArray:
         return -self.initial_gap
+
+    @property
+    def impedance(self) -> RealArray:
+        return self.rho
+
+    def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
+        return np.maximum(0.0, trial["normal"])
 
     def evaluate(self, motion: Motion) -> Response:
         force = motion.force["normal"]

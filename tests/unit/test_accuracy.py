@@ -224,7 +224,7 @@ def test_a_last_set_cut_short_by_a_limit_is_not_thought_worse_than_the_one_befor
 
 def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
     """All later solves start at what it found."""
-    rungs = ("growing harmonics: fell no further", "time stepping: residual below the tolerance")
+    rungs = ("cold start: fell no further", "time stepping: residual below the tolerance")
 
     def solve_late(problem, start, tolerance, **choice):
         return replace(solve(problem, start, tolerance, **choice), fallbacks=rungs if start is None else ())

@@ -120,7 +120,7 @@ def test_where_more_harmonics_are_not_found_from_few_a_cold_start_may_find_them(
     monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_warm)
     found = solve_to_accuracy(rub_behind_springs(), 0.003)
     assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
-    assert [told.split(": ")[1] for told in found.solution.fallbacks[:2]] == ["given start", "growing harmonics"]
+    assert [told.split(": ")[1] for told in found.solution.fallbacks[:2]] == ["given start", "cold start"]
 
 
 def test_where_no_weight_of_its_own_leads_on_the_default_ones_may(monkeypatch, truth_behind_springs):
@@ -134,7 +134,7 @@ def test_where_no_weight_of_its_own_leads_on_the_default_ones_may(monkeypatch, t
     posed = pose_level(rub_behind_springs(), 9, 8.0, frozenset(), False)
     found = go_on(posed, solve(rub_behind_springs()), 1e-8, cold=True)
     assert found.problem.rho_tangential is None
-    assert [told.split(": ")[0] for told in found.fallbacks] == ["given start", "growing harmonics", "default weights"]
+    assert [told.split(": ")[0] for told in found.fallbacks] == ["given start", "cold start", "default weights"]
     assert measure_distance(found, truth_behind_springs) < 0.02
 
 

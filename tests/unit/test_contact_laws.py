@@ -8,7 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ewr_fenicsx.bonded import Bond
-from ewr_fenicsx.coulomb import Coulomb, project_on_cone
+from ewr_fenicsx.cone import project_on_cone
+from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import Motion
 from ewr_fenicsx.unilateral import Signorini

@@ -16,15 +16,14 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing", "unilateral",
-    "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb", "coulomb", "contact_laws",
-    "statics", "compliance", "closure", "layout", "contact_system", "contact_problem", "ignored", "law_derivatives",
-    "elimination",
-    "newton_step", "balance", "inexact_step", "stability", "time_stepping", "deviations", "hill", "floquet",
-    "walking", "indicators", "periodic_motion", "solution", "contact_state", "periodicity", "time_integration",
-    "symmetry", "continuation", "snes", "ladder", "warm_starts", "newton", "dashpots", "estimates", "accuracy",
-    "cost", "progress", "task_sharing", "solution_store", "following", "refining", "sweep_store", "frequency_sweep",
-    "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
+    "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing", "cone",
+    "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb", "coulomb",
+    "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "contact_problem", "ignored",
+    "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
+    "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
+    "periodicity", "time_integration", "symmetry", "continuation", "snes", "splitting", "ladder", "warm_starts",
+    "newton", "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following",
+    "refining", "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
     "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
     "effects", "mesh", "materials", "elasticity", "interface", "modes", "columns", "reduction", "chain", "gathering",
     "plots", "cost_plots", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report",

@@ -1,0 +1,112 @@
+"""What operator splitting buys a cold start: Newton steps and time with and without it, on the blade root.
+
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/cold_starts.py                   some six minutes
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/cold_starts.py --harmonics 5 9
+
+Frequencies across the resonance, from little friction to much, gentle to where pairs lift off; the first way of a cold
+start only, no fallbacks. Both ways in turn, in one process; times are its own (CPU), without composing the problem.
+"Apart" is the largest difference of the tip's first harmonic between the two ways' solutions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from unittest.mock import patch
+
+import numpy as np
+from models import blade_root
+from reporting import describe_machine, print_table, write_json
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.splitting import Splitting
+
+FREQUENCIES = (700.0, 850.0, 950.0, 1000.0, 1050.0, 1100.0, 1200.0, 1400.0)  # Hz
+STATES = ((0.2, 1.0), (0.05, 1.0), (0.4, 2.0))  # friction, load over the demo's
+ORDERS, CLOSURES = (5, 9, 15, 31), ("dashpot", "spring")
+HEADER = ["closure", "N", "unknowns", "problems", "converged split", "climbing", "steps split", "climbing", "s split"]
+HEADER += ["climbing", "time ratio, median", "apart, %", "iterations a step"]
+
+
+@contextmanager
+def climbing() -> Iterator[None]:
+    """Cold starts without a splitting while it is open."""
+    with patch.object(ladder, "can_split", lambda _: False):
+        yield
+
+
+def clock(problem: ContactProblem) -> tuple[PeriodicSolution, float]:
+    """A cold solve by the first way, and the processor time that it took [s]."""
+    _ = problem.system
+    begin = time.process_time()
+    solution = solve(problem, fallbacks=False, raise_on_failure=False)
+    return solution, time.process_time() - begin
+
+
+def compare_iteration(problem: ContactProblem) -> float:
+    """Iterations of a splitting that take as long as a Newton step, at full stick."""
+    balance = HarmonicBalance(problem.system)
+    splitting, unknowns = Splitting(balance), balance.pack(*balance.full_stick)
+    state = splitting.begin()
+
+    def measure(run, repeats: int) -> float:
+        begin = time.process_time()
+        for _ in range(repeats):
+            run()
+        return (time.process_time() - begin) / repeats
+
+    def step() -> None:
+        linear = balance.linearise(unknowns)
+        linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)  # the worst that any state can cost
+        linear.solve(linear.residual)
+
+    return measure(step, 2) / measure(lambda: splitting.find_defect(state), 100)
+
+
+def compare(closure: str, harmonics: int) -> list[object]:
+    """A row of the table."""
+    runs, apart = [], 0.0
+    for frequency in FREQUENCIES:
+        for friction, weight in STATES:
+            demo = blade_root()
+            model = replace(demo, load={h: f * (weight if h else 1.0) for h, f in demo.load.items()})
+            laws = ContactLaws(friction=friction)
+            pose = partial(ContactProblem, model, laws, frequency, harmonics, closure=closure)
+            split = clock(pose())
+            with climbing():
+                climbed = clock(pose())
+            runs.append((split, climbed))
+            if split[0].converged and climbed[0].converged:
+                tips = [solution.output("tip")[1] for solution, _ in (split, climbed)]
+                apart = max(apart, abs(tips[0] / tips[1] - 1))
+    both = [run for run in runs if all(solution.converged for solution, _ in run)]
+    count = lambda way: sum(run[way][0].converged for run in runs)  # noqa: E731
+    steps = lambda way: sum(run[way][0].iterations for run in both) / len(both)  # noqa: E731
+    seconds = lambda way: sum(run[way][1] for run in both)  # noqa: E731
+    ratios = [climbed[1] / split[1] for split, climbed in both if split[0].iterations]
+    row = [closure, harmonics, runs[0][0][0].unknowns, len(runs), count(0), count(1), steps(0), steps(1)]
+    return [*row, seconds(0), seconds(1), median(ratios), 100 * apart, compare_iteration(pose())]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--harmonics", type=int, nargs="+", default=list(ORDERS), metavar="N", help="[5 9 15 31]")
+    parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/cold_starts.json]")
+    arguments = parser.parse_args()
+    machine = describe_machine()
+    clock(ContactProblem(blade_root(), ContactLaws(friction=0.2), 1000.0, 3))  # modes found, modules loaded
+    rows = [compare(closure, n) for closure in CLOSURES for n in arguments.harmonics]
+    print_table("Cold starts with a splitting, and climbing through sets of harmonics", HEADER, rows)
+    write_json("cold_starts", {"machine": machine, "header": HEADER, "rows": rows}, arguments.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""Operator splitting: where Newton's method starts from cold, found by asking structure and laws in turn.
+
+Contact forces obey two conditions. The *structure* answers them with a motion, harmonic by harmonic. The *laws* admit,
+sample by sample, the force nearest to itself less a multiple of that motion. Each by itself is cheap to obey, and
+Douglas-Rachford splitting brings them together. With a ``scale``, force over motion row by row:
+
+    x  with  x + scale * motion(x) = state       what the structure makes of a state
+    f = admit(2 x - state)                       what the laws make of that
+    state += f - x
+
+Where both agree, ``x = admit(x - scale * motion(x))``: the laws hold. A structure takes energy at every harmonic. So
+under given normal forces friction is a monotone problem, and the iteration converges from anywhere, at a resonance as
+elsewhere. Contact that opens on bodies driven above their modes is not monotone, and there it may end nowhere. With
+Anderson's extrapolation a hundred iterations cost as much as a few Newton steps; a Newton matrix is never formed.
+
+The admissible forces' harmonics that the balance leaves out are closed as there, by the laws' own ``impedance``: what
+the iteration tends to is the balance's solution, but for the samples a period, of which fewer will do.
+
+Sources: Lions & Mercier (1979), doi:10.1137/0716071; Walker & Ni (2011), doi:10.1137/10078356X.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.signal
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.law_kinds import Law
+
+# Scale of a row: this over its own flexibility, for velocities over omega times that. Closed neighbours make a pair
+# stiffer, and the harmonics of friction lie above the first. A few times either way cost some iterations.
+SCALE = {"displacement": 3.0, "velocity": 0.1}
+SAMPLES, FEWEST_SAMPLES = 8, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
+WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
+ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
+
+
+class Split(NamedTuple):
+    """Where a splitting ended: the best state ``(n_t, m)``, its defect over the unit of force, and the iterations."""
+
+    state: RealArray
+    defect: float
+    iterations: int
+
+
+def can_split(balance: HarmonicBalance) -> bool:
+    """Whether all laws are projections."""
+    return all(law.opposes for law in balance.system.laws)
+
+
+class Splitting:
+    """The two conditions of a balance, each by itself; a state is ``(n_t, m)`` samples over a period [N].
+
+    Args:
+        balance: A balance all of whose laws are projections.
+
+    Attributes:
+        scale: ``(m,)`` force over the motion that each row's law opposes.
+        ratio: ``(m,)`` that over the law's own impedance.
+
+    Raises:
+        numpy.linalg.LinAlgError: The structure has no answer.
+    """
+
+    def __init__(self, balance: HarmonicBalance):
+        self.balance = balance
+        orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
+        samples = max(FEWEST_SAMPLES, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
+        self.basis = FourierBasis(orders, samples)
+        self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
+        self.scale, self.ratio = np.ones((2, balance.rows))
+        for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
+            self.by_rate[rows] = rate = law.opposes == "velocity"
+            self.scale[rows] = SCALE[law.opposes] / (balance.system.flexibility[rows] * (omega if rate else 1.0))
+            if law.impedance is not None:
+                self.ratio[rows] = self.scale[rows] / law.impedance
+            if not rate and law.static_target is not None:
+                self.offset[rows] = -law.static_target
+        self.known = np.ones(balance.rows, dtype=bool)  # rows whose mean force is sought
+        if balance.basis.has_mean:
+            self.known = balance.unknown[0]
+        self.admit = [self._make_admit(*owner) for owner in zip(balance.system.laws, balance.law_rows, strict=True)]
+        self._invert()
+
+    def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, RealArray, RealArray], None]:
+        """Writes what a law admits: it sees trial forces of its own side, and the truncated ones of the other."""
+        index = self.balance.system.index
+        columns = {d: at[law.pairs] for d, at in index.items() if np.all(at[law.pairs] >= 0)}
+        own = {d: at for d, at in columns.items() if (d == "normal") == (law.direction == "normal")}
+        other = {d: at for d, at in columns.items() if d not in own}
+        given = {}
+        if "normal" not in columns:
+            given["normal"] = sample_amplitudes(self.balance.system.prescribed, law.pairs, self.basis.samples)
+
+        def admit(trial: RealArray, truncated: RealArray, admissible: RealArray) -> None:
+            seen = {d: trial[:, at] for d, at in own.items()} | {d: truncated[:, at] for d, at in other.items()}
+            admissible[:, rows] = law.admit(given | seen)
+
+        return admit
+
+    def _invert(self) -> None:
+        """Finds ``x`` as ``inverse @ state + unforced``, harmonic by harmonic; the mean has rigid coordinates too."""
+        balance, compliance = self.balance, self.balance.compliance
+        weight = np.where(self.by_rate, balance.rate[:, None], 1.0) * self.scale
+        matrices = weight[:, :, None] * compliance.flexibility + np.eye(balance.rows)
+        loads = -weight * compliance.free_motion
+        self.inverse, self.unforced = np.zeros_like(matrices), np.zeros_like(loads)
+        oscillate = slice(1 if balance.basis.has_mean else 0, None)
+        self.inverse[oscillate] = np.linalg.inv(matrices[oscillate])
+        self.unforced[oscillate] = np.matmul(self.inverse[oscillate], loads[oscillate, :, None])[:, :, 0]
+        self.rigid_inverse, self.rigid_unforced = np.zeros((balance.rigid, balance.rows)), np.zeros(balance.rigid)
+        if balance.basis.has_mean:
+            self._invert_mean()
+
+    def _invert_mean(self) -> None:
+        """The same for the mean. Friction sees nothing of it but what the balance adds to its mean equation."""
+        balance, compliance, known = self.balance, self.balance.compliance, self.known
+        share = np.where(self.by_rate, self.ratio * balance.firm.static_force_row, 0.0)
+        stiffness = np.where(self.by_rate, self.ratio * balance.static_displacement_row, self.scale)
+        matrix = np.diag(1.0 + share) + stiffness[:, None] * compliance.flexibility[0].real
+        moved = -stiffness * (compliance.free_motion[0].real + np.where(self.by_rate, 0.0, self.offset))
+        turned, seen = stiffness[:, None] * balance.rigid_motion, compliance.rigid_motion.T
+        saddle = np.block(
+            [[matrix[np.ix_(known, known)], turned[known]], [seen[:, known], np.zeros((balance.rigid,) * 2)]]
+        )
+        inverse = np.linalg.inv(saddle)
+        unforced = inverse @ np.concatenate([moved[known], -compliance.rigid_load])
+        forces, rigid = np.split(np.arange(len(saddle)), [np.count_nonzero(known)])
+        self.inverse[0][np.ix_(known, known)], self.unforced[0, known] = (
+            inverse[np.ix_(forces, forces)],
+            unforced[forces],
+        )
+        self.rigid_inverse[:, known], self.rigid_unforced = inverse[np.ix_(rigid, forces)], unforced[rigid]
+
+    def respond(self, state: RealArray) -> tuple[ComplexArray, ComplexArray]:
+        """The state's harmonics, as far as sought, and the forces that the structure makes of them, ``(n_h, m)``."""
+        harmonics = self.basis.to_amplitudes(self.basis.project(state))
+        if self.basis.has_mean:
+            harmonics[0, ~self.known] = 0.0  # a mean that is set to zero is left out like other harmonics
+        return harmonics, np.matmul(self.inverse, harmonics[:, :, None])[:, :, 0] + self.unforced
+
+    def find_defect(self, state: RealArray) -> RealArray:
+        """Admissible forces less those of the structure, ``(n_t, m)``."""
+        harmonics, kept = self.respond(state)
+        truncated = self.basis.synthesise(kept)
+        forces = truncated + (state - self.basis.synthesise(harmonics)) / (1 + self.ratio)
+        trial, admissible = 2 * forces - state, np.empty_like(state)
+        for admit in self.admit:
+            admit(trial, truncated, admissible)
+        return admissible - forces
+
+    def unknowns(self, state: RealArray) -> RealArray:
+        """The balance's unknowns at a state."""
+        harmonics, kept = self.respond(state)
+        rigid = self.rigid_unforced
+        if rigid.size:
+            rigid = (self.rigid_inverse @ harmonics[0].real + rigid) * np.mean(self.balance.system.flexibility)
+        return self.balance.pack(kept, rigid)
+
+    def begin(self, before: RealArray | None = None) -> RealArray:
+        """The state of full stick, where forces cause no motion; or one of other samples, sampled anew."""
+        if before is None:
+            return self.basis.synthesise(self.balance.full_stick[0])
+        return scipy.signal.resample(before, self.basis.samples)
+
+
+def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
+    """Iterates until the defect, a norm like the residual's, is at most a tolerance, or falls no further.
+
+    Anderson's extrapolation combines the last iterations so that the defect would be least, were it linear.
+    """
+    unit = splitting.balance.force_unit * np.sqrt(len(state) / 2)
+    moves, changes = np.empty((2, WINDOW, state.size))
+    products = np.empty((WINDOW, WINDOW))
+    best, lowest, last, before = Split(state, np.inf, 0), np.inf, 0, None
+    for k in range(ITERATIONS):
+        defect = splitting.find_defect(state)
+        size = float(np.linalg.norm(defect)) / unit
+        if size < best.defect:
+            best = Split(state, size, k + 1)
+        if size < PROGRESS * lowest:
+            lowest, last = size, k
+        if not size > tolerance or k - last > PATIENCE:
+            break
+        step = defect
+        if before is not None:
+            i, known = (k - 1) % WINDOW, min(k, WINDOW)
+            moves[i], changes[i] = (state - before[0]).ravel(), (defect - before[1]).ravel()
+            products[i, :known] = products[:known, i] = changes[:known] @ changes[i]
+            normal = products[:known, :known]
+            normal = normal + ROUNDING * np.trace(normal) * np.eye(known)
+            shares = np.linalg.solve(normal, changes[:known] @ defect.ravel())
+            step = defect - (shares @ moves[:known] + shares @ changes[:known]).reshape(state.shape)
+        before, state = (state, defect), state + step
+    return best._replace(iterations=k + 1)

@@ -1,0 +1,203 @@
+"""Operator splitting: laws as projections, its fixed point, and cold starts from where it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balance_points import LAWS, prepare
+from small_models import PROBLEMS, lift_off_oscillator, random_structure
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.planar_coulomb import PLANE
+from ewr_fenicsx.splitting import FEWEST_SAMPLES, Splitting, can_split, settle
+
+FEW = 7  # harmonics for which a splitting takes as few samples as it ever does
+
+
+def pose(problem: ContactProblem) -> HarmonicBalance:
+    """The balance of a problem with dashpots, at the samples of a splitting."""
+    return HarmonicBalance(replace(problem, samples=FEWEST_SAMPLES, harmonics=FEW, closure="dashpot").system)
+
+
+@pytest.fixture
+def always_split(monkeypatch):
+    """In small joints as well."""
+    monkeypatch.setattr(ladder, "SPLIT_FROM", 0)
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_a_law_is_the_projection_that_it_says(kind):
+    """Residual: the force less what the law admits of it less its impedance times the motion that it opposes."""
+    point = prepare(kind, "mixed", (0, 1, 2, 3))
+    balance = point.balance
+    forces, rigid = balance.unpack(point.unknowns)
+    seen = balance.sample(forces, balance.compliance.motion(forces, rigid))
+    for law, motion in zip(balance.system.laws, seen, strict=True):
+        assert law.opposes in ("displacement", "velocity")
+        if law.impedance is None:
+            assert law.closes == "springs" or law.linear
+            continue
+        moved, force = getattr(motion, law.opposes)[law.direction], motion.force[law.direction]
+        if law.opposes == "displacement":
+            moved = moved - law.static_target
+        trial = {**motion.force, law.direction: force - law.impedance * moved}
+        np.testing.assert_allclose(law.evaluate(motion).residual, force - law.admit(trial), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["plane, floating", "plane, lift-off"])
+def test_friction_in_a_plane_is_a_projection_too(name):
+    balance = pose(PROBLEMS[name])
+    forces = 0.3 * np.random.default_rng(0).normal(size=(2, len(balance.basis.orders), balance.rows))
+    forces = forces[0] + 1j * forces[1] * (np.array(balance.basis.orders) > 0)[:, None]
+    seen = balance.sample(forces, balance.compliance.motion(forces, np.zeros(balance.rigid)))
+    slips = 0
+    for law, motion in zip(balance.system.laws, seen, strict=True):
+        if law.direction == "normal":
+            continue
+        trial = {d: motion.force[d] - law.impedance * motion.velocity[d] for d in PLANE}
+        residual, force = law.evaluate(motion).residual, motion.force[law.direction]
+        np.testing.assert_allclose(residual, force - law.admit({**motion.force, **trial}), atol=1e-12)
+        slips += np.count_nonzero(law.fields(motion)["slipping"])
+    assert slips
+
+
+@pytest.mark.parametrize("kind", ["prescribed coulomb", "varying coulomb", "varying coulomb, mean zero"])
+def test_given_normal_forces_lead_to_the_solution_of_the_balance(kind):
+    """Douglas-Rachford needs no Jacobian, and ends where Newton's method does."""
+    balance = pose(prepare(kind, "slip").problem)
+    splitting = Splitting(balance)
+    found = settle(splitting, splitting.begin(), 1e-8)
+    unknowns = splitting.unknowns(found.state)
+    assert found.defect < 1e-8 and found.iterations > 10
+    assert np.linalg.norm(balance.firm.residual(unknowns)) < 1e-6
+    assert np.linalg.norm(balance.firm.residual(balance.pack(*balance.full_stick))) > 0.1
+
+
+@pytest.mark.parametrize(
+    "name", ["floating, slip", "floating, mean zero", "lift-off", "plane, floating", "plane, lift-off"]
+)
+def test_so_does_contact_that_opens_of_floating_bodies_and_in_a_plane(name):
+    balance = pose(PROBLEMS[name])
+    splitting = Splitting(balance)
+    found = settle(splitting, splitting.begin(), 1e-6)
+    assert found.defect < 1e-6 and found.iterations > 10
+    assert np.linalg.norm(balance.firm.residual(splitting.unknowns(found.state))) < 1e-4
+    assert np.linalg.norm(balance.firm.residual(balance.pack(*balance.full_stick))) > 1e-2
+
+
+def test_friction_under_given_normal_forces_is_found_from_anywhere_at_the_resonance():
+    """The problem is monotone, however light the damping: every start leads to the one solution, step by step nearer.
+
+    Mean forces of pairs that stick, which are not determined, are set to zero.
+    """
+    model = random_structure(size=10)
+    model = replace(model, damping=1e-3 * model.stiffness, load={0: np.zeros(10), 1: 5.0 * np.ones(10)})
+    omega = np.sqrt(np.linalg.eigvals(np.linalg.solve(model.mass, model.stiffness)).real.min())
+    normal_force = {0: [9.0, 8.0, 10.0], 1: [3.0j, 2.0, -4.0]}
+    laws = ContactLaws("prescribed", friction=0.4, normal_force=normal_force, static_friction="zero")
+    balance = pose(ContactProblem(model, laws, omega / (2 * np.pi)))
+    splitting, rng = Splitting(balance), np.random.default_rng(0)
+    begin = splitting.begin()
+    starts = [begin, *(100 * np.abs(begin).max() * rng.normal(size=begin.shape) for _ in range(3))]
+    ends = []
+    for state in starts:
+        before = np.inf
+        for _ in range(6000):
+            defect = splitting.find_defect(state)
+            size = np.linalg.norm(defect / np.sqrt(splitting.scale))
+            assert size <= before * (1 + 1e-9)
+            before, state = size, state + defect
+        ends.append(splitting.unknowns(state))
+    for end in ends:
+        np.testing.assert_allclose(end, ends[0], atol=1e-5 * np.abs(ends[0]).max())
+    assert np.linalg.norm(balance.firm.residual(ends[0])) < 1e-5
+    assert np.linalg.norm(ends[0] - balance.pack(*balance.full_stick)) > 0.1 * np.linalg.norm(ends[0])
+
+
+def test_extrapolation_takes_fewer_iterations():
+    splitting = Splitting(pose(PROBLEMS["floating, slip"]))
+    found = settle(splitting, splitting.begin(), 1e-4)
+    state, unit = splitting.begin(), splitting.balance.force_unit * np.sqrt(FEWEST_SAMPLES / 2)
+    plain = 1
+    while np.linalg.norm(defect := splitting.find_defect(state)) > 1e-4 * unit and plain < 2000:
+        state, plain = state + defect, plain + 1
+    assert found.defect <= 1e-4 and 1.5 * found.iterations < plain
+
+
+def test_full_stick_is_its_own_answer_where_nothing_slips():
+    splitting = Splitting(pose(PROBLEMS["stuck"]))
+    assert settle(splitting, splitting.begin(), 1e-8).iterations == 1
+
+
+def test_the_state_of_a_coarser_set_goes_on_with_more_samples():
+    coarse, fine = (
+        Splitting(HarmonicBalance(replace(PROBLEMS["lift-off"], harmonics=n, closure="dashpot").system))
+        for n in (5, 20)
+    )
+    found = settle(coarse, coarse.begin(), 1e-4)
+    went_on = fine.begin(found.state)
+    assert len(went_on) == 4 * len(found.state)
+    np.testing.assert_allclose(went_on[::4], found.state, atol=1e-9 * np.abs(found.state).max())
+    assert settle(fine, went_on, 1e-3).iterations < settle(fine, fine.begin(), 1e-3).iterations
+
+
+@pytest.mark.parametrize("closure", ["dashpot", "spring", "mass"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_cold_start_finds_what_climbing_finds(name, closure, monkeypatch, always_split):
+    problem = replace(PROBLEMS[name], closure=closure)
+    split = solve(problem)
+    monkeypatch.setattr(ladder, "can_split", lambda _: False)
+    climbed = solve(replace(problem))
+    for output in problem.model.outputs:
+        found, expected = split.output(output), climbed.output(output)
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    assert split.fallbacks == climbed.fallbacks == ()
+
+
+def test_from_where_it_ends_newton_takes_fewer_steps(monkeypatch, always_split):
+    problems = [replace(p, harmonics=15) for name, p in PROBLEMS.items() if name not in ("stuck", "prescribed")]
+    split = sum(solve(p).iterations for p in problems)
+    monkeypatch.setattr(ladder, "can_split", lambda _: False)
+    assert 1.5 * split < sum(solve(replace(p)).iterations for p in problems)
+
+
+def test_where_it_does_not_settle_newton_climbs(monkeypatch, always_split):
+    """No Newton step is lost on a start far from a solution; those lost on one that leads nowhere count."""
+    problem = PROBLEMS["floating, slip"]
+    monkeypatch.setattr(ladder, "can_split", lambda _: False)
+    climbed = solve(replace(problem)).iterations
+    monkeypatch.setattr(ladder, "can_split", can_split)
+    monkeypatch.setattr(ladder, "settle", lambda *at: settle(*at)._replace(defect=0.1))
+    assert solve(replace(problem)).iterations == climbed
+    monkeypatch.setattr(ladder, "settle", settle)
+    monkeypatch.setattr(ladder, "SPLIT_STEPS", 1)
+    assert solve(replace(problem)).iterations > climbed
+
+
+def test_a_structure_without_an_answer_is_climbed(monkeypatch, always_split):
+    def refuse(_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(ladder, "Splitting", refuse)
+    assert solve(replace(PROBLEMS["floating, slip"])).fallbacks == ()
+
+
+def test_laws_that_are_no_projections_are_not_split(monkeypatch, always_split):
+    """As laws of one's own that do not say so."""
+    balance = pose(PROBLEMS["lift-off"])
+    assert can_split(balance)
+    monkeypatch.setattr(type(balance.system.laws[0]), "opposes", "")
+    assert not can_split(balance)
+    assert solve(replace(PROBLEMS["lift-off"])).fallbacks == ()
+
+
+def test_a_static_state_is_split_as_well(always_split):
+    """At 0 Hz there is one sample, and the pair that the load opens is open."""
+    model = lift_off_oscillator()
+    for lift, opens in ((0.1, False), (30.0, True)):
+        model = replace(model, load={0: np.array([0.0, lift, 0.0, -1.0])})
+        solution = solve(ContactProblem(model, ContactLaws(friction=0.1), 0.0))
+        assert solution.fallbacks == () and (abs(solution.forces[0, 0]) < 1e-8) == opens
