@@ -230,11 +230,11 @@ to 1500 Hz.""",
 def describe_cold_starts(found: dict) -> list[str]:
     """What operator splitting buys as Markdown."""
     return [
-        """Blade root, 700 to 1400 Hz, friction 0.05 to 0.4, once and twice the demo's shaking (`benchmarks/cold_starts.py`): cold
-starts from where operator splitting ends ([method.md](method.md)), and from full stick up through growing sets of harmonics,
-in turn in one process. Steps are means over the problems that both solve; times their sum, without composing; "apart" is the
-largest difference of the tip's first harmonic; "iterations a step" how many of the splitting's take as long as a dense
-Newton step.""",
+        """Blade root, 700 to 1400 Hz, friction 0.05 to 0.4, once and twice the demo's shaking
+(`benchmarks/cold_starts.py`): cold starts from where operator splitting ends ([method.md](method.md)), and from full
+stick up through growing sets of harmonics, in turn in one process. Steps are means over the problems that both solve;
+times their sum, without composing; "apart" is the largest difference of the tip's first harmonic; "iterations a step"
+how many of the splitting's take as long as a dense Newton step.""",
         "",
         write_table(found["header"], [list(map(show_number, row)) for row in found["rows"]]),
     ]

@@ -58,12 +58,13 @@ def solve(
 ) -> PeriodicSolution:
     """Periodic solution of a contact problem.
 
-    From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
-    holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
-    harmonics, each starting at the one before; from where a few periods of time stepping end; laws with rounded corners that are sharpened along their branch;
-    these through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds;
-    and that tracing by itself. Weights of one's own that the first climb does not find are come to from a solution with
-    the default ones, which takes all these rungs and is the answer itself where no way leads on.
+    From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until
+    one holds: from where operator splitting ends, or else from the linear full-stick solution up through growing
+    sets of harmonics, each starting at the one before; from where a few periods of time stepping end; laws with
+    rounded corners that are sharpened along their branch; these through more sets of harmonics, with the
+    oscillating load traced from a small share to the whole, past folds; and that tracing by itself. Weights of
+    one's own that the first climb does not find are come to from a solution with the default ones, which takes all
+    these rungs and is the answer itself where no way leads on.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
