@@ -1,18 +1,19 @@
 """What operator splitting buys a cold start: Newton steps and time with and without it, on the blade root.
 
-    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/cold_starts.py                   some six minutes
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/cold_starts.py                   some ten minutes
     OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/cold_starts.py --harmonics 5 9
 
-Frequencies across the resonance, from little friction to much, gentle to where pairs lift off; the first way of a cold
-start only, no fallbacks. Both ways in turn, in one process; times are its own (CPU), without composing the problem.
-"Apart" is the largest difference of the tip's first harmonic between the two ways' solutions.
+Frequencies across the resonance, from little friction to much, gentle to where pairs lift off; then with more and more
+pairs. The first way of a cold start only, no fallbacks. Both ways in turn, in one process; times are its own (CPU),
+without composing the problem. "Apart" is the largest difference of the tip's first harmonic between the two ways'
+solutions; "iterations a step" how many iterations take as long as a Newton step with no row eliminated.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -24,7 +25,7 @@ import numpy as np
 from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.splitting import Splitting
@@ -32,7 +33,19 @@ from ewr_fenicsx.splitting import Splitting
 FREQUENCIES = (700.0, 850.0, 950.0, 1000.0, 1050.0, 1100.0, 1200.0, 1400.0)  # Hz
 STATES = ((0.2, 1.0), (0.05, 1.0), (0.4, 2.0))  # friction, load over the demo's
 ORDERS, CLOSURES = (5, 9, 15, 31), ("dashpot", "spring")
-HEADER = ["closure", "N", "unknowns", "problems", "converged split", "climbing", "steps split", "climbing", "s split"]
+PAIRS, FEWER_FREQUENCIES = (20, 40, 80), (900.0, 1000.0, 1100.0)  # a flank, with dashpots, N = 5 and the first state
+HEADER = [
+    "pairs",
+    "closure",
+    "N",
+    "unknowns",
+    "problems",
+    "converged split",
+    "climbing",
+    "steps split",
+    "climbing",
+    "s split",
+]
 HEADER += ["climbing", "time ratio, median", "apart, %", "iterations a step"]
 
 
@@ -71,12 +84,17 @@ def compare_iteration(problem: ContactProblem) -> float:
     return measure(step, 2) / measure(lambda: splitting.find_defect(state), 100)
 
 
-def compare(closure: str, harmonics: int) -> list[object]:
+def compare(
+    demo: ReducedModel,
+    closure: str,
+    harmonics: int,
+    frequencies: Sequence[float] = FREQUENCIES,
+    states: Sequence[tuple[float, float]] = STATES,
+) -> list[object]:
     """A row of the table."""
     runs, apart = [], 0.0
-    for frequency in FREQUENCIES:
-        for friction, weight in STATES:
-            demo = blade_root()
+    for frequency in frequencies:
+        for friction, weight in states:
             model = replace(demo, load={h: f * (weight if h else 1.0) for h, f in demo.load.items()})
             laws = ContactLaws(friction=friction)
             pose = partial(ContactProblem, model, laws, frequency, harmonics, closure=closure)
@@ -92,7 +110,7 @@ def compare(closure: str, harmonics: int) -> list[object]:
     steps = lambda way: sum(run[way][0].iterations for run in both) / len(both)  # noqa: E731
     seconds = lambda way: sum(run[way][1] for run in both)  # noqa: E731
     ratios = [climbed[1] / split[1] for split, climbed in both if split[0].iterations]
-    row = [closure, harmonics, runs[0][0][0].unknowns, len(runs), count(0), count(1), steps(0), steps(1)]
+    row = [demo.pairs, closure, harmonics, runs[0][0][0].unknowns, len(runs), count(0), count(1), steps(0), steps(1)]
     return [*row, seconds(0), seconds(1), median(ratios), 100 * apart, compare_iteration(pose())]
 
 
@@ -103,7 +121,8 @@ def main() -> None:
     arguments = parser.parse_args()
     machine = describe_machine()
     clock(ContactProblem(blade_root(), ContactLaws(friction=0.2), 1000.0, 3))  # modes found, modules loaded
-    rows = [compare(closure, n) for closure in CLOSURES for n in arguments.harmonics]
+    rows = [compare(blade_root(), closure, n) for closure in CLOSURES for n in arguments.harmonics]
+    rows += [compare(blade_root(pairs), "dashpot", 5, FEWER_FREQUENCIES, STATES[:1]) for pairs in PAIRS]
     print_table("Cold starts with a splitting, and climbing through sets of harmonics", HEADER, rows)
     write_json("cold_starts", {"machine": machine, "header": HEADER, "rows": rows}, arguments.output)
 

@@ -32,9 +32,9 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_kinds import Law
 
-# Scale of a row: this over its own flexibility, for velocities over omega times that. Closed neighbours make a pair
-# stiffer, and the harmonics of friction lie above the first. A few times either way cost some iterations.
-SCALE = {"displacement": 3.0, "velocity": 0.1}
+# Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
+# as pairs that slip move each other. A few times either way cost some iterations.
+SCALE = {"displacement": 3.0, "velocity": 1.0}
 SAMPLES, FEWEST_SAMPLES = 8, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
 WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
 ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
@@ -76,11 +76,13 @@ class Splitting:
         self.scale, self.ratio = np.ones((2, balance.rows))
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             self.by_rate[rows] = rate = law.opposes == "velocity"
-            self.scale[rows] = SCALE[law.opposes] / (balance.system.flexibility[rows] * (omega if rate else 1.0))
-            if law.impedance is not None:
-                self.ratio[rows] = self.scale[rows] / law.impedance
+            self.scale[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
+        self.scale[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
+        for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
+            if law.impedance is not None:
+                self.ratio[rows] = self.scale[rows] / law.impedance
         self.known = np.ones(balance.rows, dtype=bool)  # rows whose mean force is sought
         if balance.basis.has_mean:
             self.known = balance.unknown[0]

@@ -82,8 +82,8 @@ def test_given_normal_forces_lead_to_the_solution_of_the_balance(kind):
 def test_so_does_contact_that_opens_of_floating_bodies_and_in_a_plane(name):
     balance = pose(PROBLEMS[name])
     splitting = Splitting(balance)
-    found = settle(splitting, splitting.begin(), 1e-6)
-    assert found.defect < 1e-6 and found.iterations > 10
+    found = settle(splitting, splitting.begin(), 1e-5)
+    assert found.defect < 1e-5 and found.iterations > 10
     assert np.linalg.norm(balance.firm.residual(splitting.unknowns(found.state))) < 1e-4
     assert np.linalg.norm(balance.firm.residual(balance.pack(*balance.full_stick))) > 1e-2
 
@@ -108,7 +108,7 @@ def test_friction_under_given_normal_forces_is_found_from_anywhere_at_the_resona
         for _ in range(6000):
             defect = splitting.find_defect(state)
             size = np.linalg.norm(defect / np.sqrt(splitting.scale))
-            assert size <= before * (1 + 1e-9)
+            assert size <= before * (1 + 1e-9) + 1e-12
             before, state = size, state + defect
         ends.append(splitting.unknowns(state))
     for end in ends:
