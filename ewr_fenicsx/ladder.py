@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -27,7 +28,7 @@ from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
-from ewr_fenicsx.splitting import Splitting, can_split, settle
+from ewr_fenicsx.splitting import Splitting, can_split, find_near, resample
 
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
@@ -45,11 +46,8 @@ LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
 
-# Cold starts of so many unknowns and more begin with a splitting: in small joints Newton steps cost no more than its
-# iterations. Newton's method takes over at a defect of ``SPLIT_TOLERANCE``, lower where its steps are dear, or a little
-# above; from there it takes few steps, if it arrives.
-SPLIT_FROM, DEAR_FROM, SPLIT_LEVELS = 200, 2000, (5, 15, 31)
-SPLIT_TOLERANCE, DEAR_TOLERANCE, NEAR_ENOUGH, SPLIT_STEPS = 1e-3, 1e-4, 2.0, 25
+SPLIT_LEVELS = (5, 15, 31)  # the same for a splitting
+SPLIT_STEPS = 25  # Newton steps from where it ends: those that arrive take fewer
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
 
@@ -76,19 +74,15 @@ def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solv
     """
     stick = balance.pack(*balance.full_stick)
     none = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "no splitting", False)
-    if none.residual <= tolerance or balance.size < SPLIT_FROM or not can_split(balance):
+    if none.residual <= tolerance or not can_split(balance):
         return none
-    goal, state, start = SPLIT_TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE, None, None
+    begin, start = Splitting.begin, None
     for orders in choose_sets(balance.basis.orders, SPLIT_LEVELS, find_loaded(balance)):
         level = balance if orders == balance.basis.orders else restrict(balance, orders)
-        try:
-            splitting = Splitting(level)
-            found = settle(splitting, splitting.begin(state), goal)
-        except np.linalg.LinAlgError:  # as next to a mode without damping
+        if (found := find_near(level, begin)) is None:
             break
-        if not found.defect < NEAR_ENOUGH * goal:
-            break
-        state, start = found.state, embed(level.unpack(splitting.unknowns(found.state)), level, balance)
+        state, unknowns = found
+        begin, start = partial(resample, state), embed(level.unpack(unknowns), level, balance)
     if start is None:
         return none
     return run_newton(balance, balance.pack(*start), tolerance, linear_solver, SPLIT_STEPS, near=True)

@@ -38,6 +38,11 @@ SCALE = {"displacement": 3.0, "velocity": 1.0}
 SAMPLES, FEWEST_SAMPLES = 8, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
 WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
 ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
+# Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
+WORTHWHILE = 200
+# Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
+# that, from which it may still arrive.
+TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
 
 
 class Split(NamedTuple):
@@ -49,8 +54,8 @@ class Split(NamedTuple):
 
 
 def can_split(balance: HarmonicBalance) -> bool:
-    """Whether all laws are projections."""
-    return all(law.opposes for law in balance.system.laws)
+    """Whether a splitting is worth its while, and all laws are projections."""
+    return balance.size >= WORTHWHILE and all(law.opposes for law in balance.system.laws)
 
 
 class Splitting:
@@ -164,11 +169,25 @@ class Splitting:
             rigid = (self.rigid_inverse @ harmonics[0].real + rigid) * np.mean(self.balance.system.flexibility)
         return self.balance.pack(kept, rigid)
 
-    def begin(self, before: RealArray | None = None) -> RealArray:
-        """The state of full stick, where forces cause no motion; or one of other samples, sampled anew."""
-        if before is None:
-            return self.basis.synthesise(self.balance.full_stick[0])
-        return scipy.signal.resample(before, self.basis.samples)
+    def begin(self) -> RealArray:
+        """The state of full stick, where forces cause no motion."""
+        return self.basis.synthesise(self.balance.full_stick[0])
+
+
+def resample(state: RealArray, splitting: Splitting) -> RealArray:
+    """A state of other harmonics with the samples of a splitting."""
+    return scipy.signal.resample(state, splitting.basis.samples)
+
+
+def find_near(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> tuple[RealArray, RealArray] | None:
+    """State and unknowns near a solution, where a splitting that begins in a state ends at some; else None."""
+    goal = TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE
+    try:
+        splitting = Splitting(balance)
+        found = settle(splitting, begin(splitting), goal)
+    except np.linalg.LinAlgError:  # as next to a mode without damping
+        return None
+    return (found.state, splitting.unknowns(found.state)) if found.defect < NEAR_ENOUGH * goal else None
 
 
 def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:

@@ -10,9 +10,10 @@ from balance_points import LAWS, prepare
 from small_models import PROBLEMS, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
+from ewr_fenicsx import splitting as splitting_module
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.planar_coulomb import PLANE
-from ewr_fenicsx.splitting import FEWEST_SAMPLES, Splitting, can_split, settle
+from ewr_fenicsx.splitting import FEWEST_SAMPLES, Splitting, can_split, resample, settle
 
 FEW = 7  # harmonics for which a splitting takes as few samples as it ever does
 
@@ -25,7 +26,7 @@ def pose(problem: ContactProblem) -> HarmonicBalance:
 @pytest.fixture
 def always_split(monkeypatch):
     """In small joints as well."""
-    monkeypatch.setattr(ladder, "SPLIT_FROM", 0)
+    monkeypatch.setattr(splitting_module, "WORTHWHILE", 0)
 
 
 @pytest.mark.parametrize("kind", LAWS)
@@ -138,7 +139,7 @@ def test_the_state_of_a_coarser_set_goes_on_with_more_samples():
         for n in (5, 20)
     )
     found = settle(coarse, coarse.begin(), 1e-4)
-    went_on = fine.begin(found.state)
+    went_on = resample(found.state, fine)
     assert len(went_on) == 4 * len(found.state)
     np.testing.assert_allclose(went_on[::4], found.state, atol=1e-9 * np.abs(found.state).max())
     assert settle(fine, went_on, 1e-3).iterations < settle(fine, fine.begin(), 1e-3).iterations
@@ -170,9 +171,9 @@ def test_where_it_does_not_settle_newton_climbs(monkeypatch, always_split):
     monkeypatch.setattr(ladder, "can_split", lambda _: False)
     climbed = solve(replace(problem)).iterations
     monkeypatch.setattr(ladder, "can_split", can_split)
-    monkeypatch.setattr(ladder, "settle", lambda *at: settle(*at)._replace(defect=0.1))
+    monkeypatch.setattr(splitting_module, "settle", lambda *at: settle(*at)._replace(defect=0.1))
     assert solve(replace(problem)).iterations == climbed
-    monkeypatch.setattr(ladder, "settle", settle)
+    monkeypatch.setattr(splitting_module, "settle", settle)
     monkeypatch.setattr(ladder, "SPLIT_STEPS", 1)
     assert solve(replace(problem)).iterations > climbed
 
@@ -181,7 +182,7 @@ def test_a_structure_without_an_answer_is_climbed(monkeypatch, always_split):
     def refuse(_):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(ladder, "Splitting", refuse)
+    monkeypatch.setattr(splitting_module, "Splitting", refuse)
     assert solve(replace(PROBLEMS["floating, slip"])).fallbacks == ()
 
 
