@@ -21,7 +21,7 @@ from ewr_fenicsx.given import ComplexArray
 from ewr_fenicsx.newton import adopt_weights, solve, wrap
 from ewr_fenicsx.snes import Attempt, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.warm_starts import guide
+from ewr_fenicsx.warm_starts import guide, split
 
 NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near; up to so many, steps may grow
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
@@ -69,7 +69,8 @@ def solve_from(
 ) -> PeriodicSolution:
     """Solve a problem from one or two neighbours on its branch, with a secant predictor and never from cold.
 
-    Forces *and* motions are extrapolated, the laws linearised there, and one Newton step makes the two fit.
+    Forces *and* motions are extrapolated. A splitting begins there, or else the laws are linearised, and one Newton
+    step makes the two fit.
 
     Args:
         problem: With the model, kinds of laws and harmonics of its neighbours.
@@ -90,9 +91,14 @@ def solve_from(
         forces = forces + ratio * (forces - earlier.forces)
         motion = motion + ratio * (motion - read_motion(earlier))
         rigid = rigid + ratio * (rigid - earlier.rigid)
-    attempt = run_newton(balance, guide(balance, forces, motion, rigid), tolerance, "elimination", NEWTON_STEPS)
-    attempt = replace(attempt, iterations=attempt.iterations + 1)
-    return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
+    attempts = []
+    if (near := split(balance, forces, motion, rigid)) is not None:
+        attempts.append(run_newton(balance, near, tolerance, "elimination", NEWTON_STEPS, near=True))
+    if not attempts or not attempts[0].converged:
+        guided = guide(balance, forces, motion, rigid)
+        attempt = run_newton(balance, guided, tolerance, "elimination", NEWTON_STEPS)
+        attempts.append(replace(attempt, iterations=attempt.iterations + 1))
+    return wrap(problem, balance, attempts, (), time.perf_counter() - begin)
 
 
 def read_motion(solution: PeriodicSolution) -> ComplexArray:

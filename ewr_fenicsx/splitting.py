@@ -173,6 +173,11 @@ class Splitting:
         """The state of full stick, where forces cause no motion."""
         return self.basis.synthesise(self.balance.full_stick[0])
 
+    def join(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
+        """The state of forces [N] and motions [m] of all rows, ``(n_h, m)``, which need not fit each other."""
+        opposed = np.where(self.by_rate, self.balance.rate[:, None], 1.0) * motion
+        return self.basis.synthesise(forces + self.scale * opposed) + self.scale * self.offset
+
 
 def resample(state: RealArray, splitting: Splitting) -> RealArray:
     """A state of other harmonics with the samples of a splitting."""

@@ -11,8 +11,10 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.splitting import WORTHWHILE, can_split, find_near
 
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
+FAR = 5e-3  # residual of what is carried over, above which a splitting may be worth its while
 WARM_STEPS = 40  # Newton steps a run: those that lead anywhere take fewer, nearly all
 
 
@@ -54,14 +56,18 @@ def list_starts(
 ) -> Iterator[tuple[RealArray, bool, int]]:
     """Unknowns to start at from another problem's solution, whether as near ones, and the Newton steps that they took.
 
-    Its forces serve as they are where they cause the same motion here (other harmonics, samples or laws). At another
-    frequency, with another model or load, a guiding step makes the two fit.
+    A splitting may lead there, where many pairs change status. Else its forces serve as they are where they cause the
+    same motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding
+    step makes the two fit.
     """
     forces, motion, rigid = carry_over(start, balance)
     carried = balance.pack(forces, rigid)
     moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
     same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
-    if same or np.linalg.norm(balance.residual(carried)) <= tolerance:
+    left = np.linalg.norm(balance.residual(carried))
+    if left > max(FAR, tolerance) and (near := split(balance, forces, motion, rigid)) is not None:
+        yield near, True, 0
+    if same or left <= tolerance:
         yield carried, True, 0
         yield carried, False, 0
         yield guide(balance, forces, motion, rigid), False, 1
@@ -69,6 +75,17 @@ def list_starts(
         guided = guide(balance, forces, motion, rigid)
         yield guided, False, 1
         yield guided, True, 0
+
+
+def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray | None:
+    """Unknowns near a solution, where a splitting ends that begins at forces and motions as in ``guide``; else None.
+
+    Only where that is worth its while: a step is cheap where few pairs change status there.
+    """
+    if not can_split(balance) or balance.linearise(balance.pack(forces, rigid), motion).unknowns_left < WORTHWHILE:
+        return None
+    found = find_near(balance, lambda splitting: splitting.join(forces, motion))
+    return None if found is None else found[1]
 
 
 def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:

@@ -18,9 +18,14 @@ from ewr_fenicsx.splitting import FEWEST_SAMPLES, Splitting, can_split, resample
 FEW = 7  # harmonics for which a splitting takes as few samples as it ever does
 
 
+def pose_problem(problem: ContactProblem) -> ContactProblem:
+    """A problem with dashpots, at the samples of a splitting."""
+    return replace(problem, samples=FEWEST_SAMPLES, harmonics=FEW, closure="dashpot")
+
+
 def pose(problem: ContactProblem) -> HarmonicBalance:
-    """The balance of a problem with dashpots, at the samples of a splitting."""
-    return HarmonicBalance(replace(problem, samples=FEWEST_SAMPLES, harmonics=FEW, closure="dashpot").system)
+    """Its balance."""
+    return HarmonicBalance(pose_problem(problem).system)
 
 
 @pytest.fixture
@@ -143,6 +148,18 @@ def test_the_state_of_a_coarser_set_goes_on_with_more_samples():
     assert len(went_on) == 4 * len(found.state)
     np.testing.assert_allclose(went_on[::4], found.state, atol=1e-9 * np.abs(found.state).max())
     assert settle(fine, went_on, 1e-3).iterations < settle(fine, fine.begin(), 1e-3).iterations
+
+
+@pytest.mark.parametrize("name", ["floating, slip", "lift-off", "plane, floating", "prescribed"])
+def test_a_solution_is_a_state_that_stays(name):
+    """Forces and motions of a solution with as many samples, joined into a state, are admitted as they are."""
+    problem = pose_problem(PROBLEMS[name])
+    solution, splitting = solve(problem, tolerance=1e-11), Splitting(HarmonicBalance(problem.system))
+    motion = problem.system.compliance.motion(solution.forces, solution.rigid)
+    state = splitting.join(solution.forces, motion)
+    found = settle(splitting, state, 1e-9)
+    kept = splitting.balance.unpack(splitting.unknowns(found.state))[0]
+    np.testing.assert_allclose(kept, solution.forces, atol=1e-3 * np.abs(solution.forces).max())
 
 
 @pytest.mark.parametrize("closure", ["dashpot", "spring", "mass"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve, splitting, warm_starts
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.newton_step import Factorisation
@@ -120,3 +120,29 @@ def test_a_warm_start_that_takes_many_steps_is_given_up(monkeypatch):
     np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())
     with pytest.raises(NotConverged, match="too many Newton steps"):
         solve(further, start, fallbacks=False)
+
+
+@pytest.mark.parametrize("change", [{"frequency": 470.0}, {"harmonics": 15}, {"laws": ContactLaws(friction=0.15)}])
+def test_where_many_pairs_change_status_a_splitting_goes_on_first(change, monkeypatch):
+    """It finds the same solution in fewer Newton steps."""
+    model = dovetail(excitation=200.0)
+    start = solve(ContactProblem(model, ContactLaws(friction=0.2), 481.0, 9))
+    problem = replace(start.problem, **change)
+    monkeypatch.setattr(splitting, "WORTHWHILE", 50)
+    monkeypatch.setattr(warm_starts, "WORTHWHILE", 50)
+    balance = HarmonicBalance(problem.system)
+    first, near, steps = next(iter(list_starts(start, balance, 1e-8)))
+    assert near and steps == 0 and np.linalg.norm(balance.residual(first)) < 0.1
+    split = solve(problem, start)
+    monkeypatch.setattr(splitting, "WORTHWHILE", 10**6)
+    guided = solve(replace(problem), start)
+    assert split.iterations < guided.iterations and split.fallbacks == guided.fallbacks == ()
+    np.testing.assert_allclose(split.output("tip"), guided.output("tip"), atol=1e-6 * abs(guided.output("tip")[1]))
+
+
+def test_where_hardly_any_does_the_laws_guide_the_start(monkeypatch):
+    start = solve(SLIPS)
+    monkeypatch.setattr(splitting, "WORTHWHILE", 0)
+    asked = []
+    monkeypatch.setattr(warm_starts, "find_near", lambda *_: asked.append(1))
+    assert solve(replace(SLIPS, frequency=478.0), start).converged and not asked
