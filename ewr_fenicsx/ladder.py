@@ -45,8 +45,7 @@ NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a fai
 LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
-
-SPLIT_LEVELS = (5, 15, 31)  # the same for a splitting
+SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
 SPLIT_STEPS = 25  # Newton steps from where it ends: those that arrive take fewer
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
@@ -64,7 +63,8 @@ def start_cold(
     if split.converged or split.walks:
         return split
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance)
-    return replace(climbed, iterations=split.iterations + climbed.iterations)
+    better = climbed if climbed.converged else min(climbed, split, key=lambda a: a.residual)
+    return replace(better, iterations=split.iterations + climbed.iterations)
 
 
 def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
@@ -73,7 +73,7 @@ def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solv
     High harmonics drive bodies far above their modes, where it may not end: what was found with fewer then starts it.
     """
     stick = balance.pack(*balance.full_stick)
-    none = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "no splitting", False)
+    none = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "nothing is closer than full stick", False)
     if none.residual <= tolerance or not can_split(balance):
         return none
     begin, start = Splitting.begin, None
