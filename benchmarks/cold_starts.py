@@ -81,7 +81,7 @@ def compare_iteration(problem: ContactProblem) -> float:
         linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)  # the worst that any state can cost
         linear.solve(linear.residual)
 
-    return measure(step, 2) / measure(lambda: splitting.find_defect(state), 100)
+    return measure(step, 2) / measure(lambda: splitting.compare(state), 100)
 
 
 def compare(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from accuracy_text import PAGE_TEXT
 
-from ewr_fenicsx.cost import choose_cheapest, fit_slope
+from ewr_fenicsx.cost import LOOSE, choose_cheapest, fit_slope
 from ewr_fenicsx.cost_plots import draw_work_precision
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -40,6 +40,7 @@ PICTURE = {
         "N, rho_T by mobility",
         "N, rho_T by mobility, 8 N samples",
         "N, springs",
+        f"N, springs, tolerance {LOOSE:g}",
         'N, static friction "zero"',
         "time steps",
         "time steps, accelerated",
@@ -274,6 +275,7 @@ def write_page(cost: dict, found: dict, pictures: Path) -> str:
         orders=here("N"),
         mobility=here("N, rho_T by mobility"),
         springs=here("N, springs"),
+        loose=here(f"N, springs, tolerance {LOOSE:g}"),
         lean=here("N, rho_T by mobility, 8 N samples"),
         odd=here("N, odd harmonics only"),
         zero=here('N, static friction "zero"'),

@@ -27,8 +27,9 @@ from ewr_fenicsx.newton_step import NewtonStep
 # Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
-# Most that closing the gaps may make of the force that counts as one, over that without: gaps that do close take less.
-WIDE = 1e3
+# Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
+# gaps that do close take less, and pairs slip before they hold a resonance.
+MOST = 1e3
 
 
 class HarmonicBalance:
@@ -102,17 +103,23 @@ class HarmonicBalance:
     def force_unit(self) -> float:
         """Force that counts as one [N]: the norm of the full-stick forces where none was given.
 
-        Full stick closes every gap. Wide ones, which nothing closes, take forces beside which all others would be
-        rounding: the unit is at most ``WIDE`` times the norm of the forces that hold the pairs where they are.
+        Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. Wide gaps and undamped modes
+        take forces beside which all others would be rounding: the unit is at most ``MOST`` times the norm of the forces
+        that hold the pairs where they are, each row by itself where they oscillate.
         """
         if self._force_unit:
             return self._force_unit
-        unit = float(np.linalg.norm(self.full_stick[0]))
+        held = stick = self.full_stick[0]
         targets = [law.static_target for law in self.system.laws if law.static_target is not None]
         if any(np.any(target < 0) for target in targets):
-            held = float(np.linalg.norm(self._stick(lambda target: np.maximum(target, 0.0))[0]))
-            unit = min(unit, WIDE * held or unit)
-        return unit or 1.0
+            held = self._stick(lambda target: np.maximum(target, 0.0))[0]
+        oscillates = self.rate != 0
+        alone = self.compliance.free_motion[oscillates] / self.system.flexibility
+        usual = np.hypot(
+            np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
+        )
+        unit = float(np.linalg.norm(stick))
+        return min(unit, float(MOST * usual) or unit) or 1.0
 
     @cached_property
     def firm(self) -> HarmonicBalance:
@@ -249,9 +256,11 @@ def match_rows(system: ContactSystem) -> list[np.ndarray]:
     """``(K,)`` rows of each law's pairs.
 
     Raises:
-        ModelError: A law owns a direction in which its kind does not act; or a row has no law, or two.
+        ModelError: A law owns a direction in which its kind does not act, or is half a projection; or a row has no law,
+            or two.
     """
     for law in system.laws:
+        check_projection(law)
         if law.direction not in system.index or np.any(system.index[law.direction][law.pairs] < 0):
             known = ", ".join(f'"{direction}"' for direction in system.index)
             raise ModelError(
@@ -268,6 +277,27 @@ def match_rows(system: ContactSystem) -> list[np.ndarray]:
                 "kind that acts there must build one law for each direction that acts_in names"
             )
     return rows
+
+
+def check_projection(law: Law) -> None:
+    """Refuses a law that says it is a projection but not of what, or on what.
+
+    Raises:
+        ModelError: ``opposes`` is no such motion, there is no ``admit``, or ``impedance`` is not one a pair.
+    """
+    name, known = type(law).__name__, ("displacement", "velocity")
+    if not law.opposes:
+        return
+    if law.opposes not in known:
+        raise ModelError(
+            f'{name}.opposes = {law.opposes!r}; give one of {", ".join(known)}{nearest(law.opposes, known)}, or ""'
+        )
+    if getattr(law.admit, "__func__", None) is Law.admit:
+        raise ModelError(f'{name}.opposes = "{law.opposes}", but it has no admit; give that, or leave opposes out')
+    if law.impedance is not None and np.shape(law.impedance) != law.pairs.shape:
+        raise ModelError(
+            f"{name}.impedance has shape {np.shape(law.impedance)}; give one a pair, {law.pairs.shape}, or None"
+        )
 
 
 def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from ewr_fenicsx.chain import Chain, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import HIGHEST as SEEN
-from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
+from ewr_fenicsx.cost import LOOSE, Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors
@@ -55,6 +55,7 @@ class CostReport:
             "N",
             "N, rho_T by mobility",
             "N, springs",
+            f"N, springs, tolerance {LOOSE:g}",
             "samples",
             "rho_N over default",
             "rho_T over default",

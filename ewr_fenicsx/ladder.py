@@ -46,7 +46,7 @@ LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
 SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
-SPLIT_STEPS = 25  # Newton steps from where it ends: those that arrive take fewer
+SPLIT_STEPS = 25  # Newton steps a run from where it ends: those that arrive take fewer
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
 
@@ -67,13 +67,20 @@ def start_cold(
     return replace(better, iterations=split.iterations + climbed.iterations)
 
 
+def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
+    """The full-stick state as an attempt of no steps."""
+    unknowns = balance.pack(*balance.full_stick)
+    return Attempt(
+        unknowns, float(np.linalg.norm(balance.residual(unknowns))), 0, "nothing is closer than full stick", False
+    )
+
+
 def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
     """Newton from where a splitting ends, on few harmonics first; full stick where that is nowhere near a solution.
 
     High harmonics drive bodies far above their modes, where it may not end: what was found with fewer then starts it.
     """
-    stick = balance.pack(*balance.full_stick)
-    none = Attempt(stick, float(np.linalg.norm(balance.residual(stick))), 0, "nothing is closer than full stick", False)
+    none = begin_at_full_stick(balance)
     if none.residual <= tolerance or not can_split(balance):
         return none
     begin, start = Splitting.begin, None

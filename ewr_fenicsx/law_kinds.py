@@ -102,7 +102,8 @@ class Law(Protocol):
         opposes: The motion that the force opposes, ``"displacement"`` or ``"velocity"``, where the law is a projection:
             ``force = admit(force - c motion)`` with any positive ``c``. A cold start then finds its way more quickly
             (``splitting.py``); "": it is none.
-        impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none.
+        impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none, and the start is
+            less near.
     """
 
     direction: str

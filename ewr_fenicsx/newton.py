@@ -22,6 +22,7 @@ from ewr_fenicsx.ladder import (
     LARGEST_TRACED,
     SPRING_LEVELS,
     SPRING_TOLERANCE,
+    begin_at_full_stick,
     climb,
     sharpen_corners,
     start_cold,
@@ -222,14 +223,6 @@ def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProb
     """The problem with the weights and the closure of another one; itself where it has these."""
     named = {name: getattr(other, name) for name in ("rho_normal", "rho_tangential", "closure")}
     return problem if all(getattr(problem, n) is value for n, value in named.items()) else replace(problem, **named)
-
-
-def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
-    """The full-stick state as an attempt of no steps."""
-    unknowns = balance.pack(*balance.full_stick)
-    return Attempt(
-        unknowns, float(np.linalg.norm(balance.residual(unknowns))), 0, "nothing is closer than full stick", False
-    )
 
 
 def start_from_time_stepping(

@@ -105,10 +105,9 @@ class PlanarCoulomb(FrictionLaw):
         return Response(motion.force[self.direction] - share * trial[self.direction], tuple(partials))
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        limit = self.limit(motion.force)
         trial, size = self.try_stick(motion)
-        share = np.minimum(size, limit) / np.where(size > 0, size, 1.0)
-        return {"admissible_friction_force": share * trial[self.direction], "slipping": size >= limit}
+        admitted = self.admit({**motion.force, **trial})
+        return {"admissible_friction_force": admitted, "slipping": size >= self.limit(motion.force)}
 
     def rounded(self, width: float) -> Law:
         return RoundedPlanarCoulomb(self, width)

@@ -14,7 +14,8 @@ elsewhere. Contact that opens on bodies driven above their modes is not monotone
 Anderson's extrapolation a hundred iterations cost as much as a few Newton steps; a Newton matrix is never formed.
 
 The admissible forces' harmonics that the balance leaves out are closed as there, by the laws' own ``impedance``: what
-the iteration tends to is the balance's solution, but for the samples a period, of which fewer will do.
+the iteration tends to is the balance's solution, but for the samples a period, of which fewer will do. Springs and
+masses that close a truncation have none: dashpots of the scale take their place, and what comes out is near only.
 
 Sources: Lions & Mercier (1979), doi:10.1137/0716071; Walker & Ni (2011), doi:10.1137/10078356X.
 """
@@ -28,6 +29,7 @@ import numpy as np
 import scipy.signal
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.law_kinds import Law
@@ -43,10 +45,12 @@ WORTHWHILE = 200
 # Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
 # that, from which it may still arrive.
 TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
+# Over the unit of force: the least forces beside which a defect is measured, and the largest state that leads anywhere.
+LEAST, LOST = 1e-4, 1e6
 
 
 class Split(NamedTuple):
-    """Where a splitting ended: the best state ``(n_t, m)``, its defect over the unit of force, and the iterations."""
+    """Where a splitting ended: the best state ``(n_t, m)``, its defect over the forces, and the iterations."""
 
     state: RealArray
     defect: float
@@ -106,7 +110,13 @@ class Splitting:
 
         def admit(trial: RealArray, truncated: RealArray, admissible: RealArray) -> None:
             seen = {d: trial[:, at] for d, at in own.items()} | {d: truncated[:, at] for d, at in other.items()}
-            admissible[:, rows] = law.admit(given | seen)
+            found = law.admit(given | seen)
+            if np.shape(found) != (wanted := (len(trial), rows.size)):
+                raise ModelError(
+                    f"{type(law).__name__}.admit returns an array of shape {np.shape(found)}; give one of {wanted}, "
+                    "instants by pairs"
+                )
+            admissible[:, rows] = found
 
         return admit
 
@@ -151,15 +161,15 @@ class Splitting:
             harmonics[0, ~self.known] = 0.0  # a mean that is set to zero is left out like other harmonics
         return harmonics, np.matmul(self.inverse, harmonics[:, :, None])[:, :, 0] + self.unforced
 
-    def find_defect(self, state: RealArray) -> RealArray:
-        """Admissible forces less those of the structure, ``(n_t, m)``."""
+    def compare(self, state: RealArray) -> tuple[RealArray, RealArray]:
+        """Forces of the structure, and what the laws admit of them, ``(n_t, m)`` each."""
         harmonics, kept = self.respond(state)
         truncated = self.basis.synthesise(kept)
         forces = truncated + (state - self.basis.synthesise(harmonics)) / (1 + self.ratio)
         trial, admissible = 2 * forces - state, np.empty_like(state)
         for admit in self.admit:
             admit(trial, truncated, admissible)
-        return admissible - forces
+        return forces, admissible
 
     def unknowns(self, state: RealArray) -> RealArray:
         """The balance's unknowns at a state."""
@@ -185,7 +195,7 @@ def resample(state: RealArray, splitting: Splitting) -> RealArray:
 
 
 def find_near(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> tuple[RealArray, RealArray] | None:
-    """State and unknowns near a solution, where a splitting that begins in a state ends at some; else None."""
+    """State and unknowns near a solution, where a splitting begun in the state of ``begin`` leads there; else None."""
     goal = TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE
     try:
         splitting = Splitting(balance)
@@ -196,8 +206,9 @@ def find_near(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray])
 
 
 def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
-    """Iterates until the defect, a norm like the residual's, is at most a tolerance, or falls no further.
+    """Iterates until the defect, over the forces or the unit of force where that is less, is at most a tolerance.
 
+    Stops where it falls no further, too. The unit may be far above the forces: at a resonance, or where gaps are wide.
     Anderson's extrapolation combines the last iterations so that the defect would be least, were it linear.
     """
     unit = splitting.balance.force_unit * np.sqrt(len(state) / 2)
@@ -205,8 +216,11 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
     products = np.empty((WINDOW, WINDOW))
     best, lowest, last, before = Split(state, np.inf, 0), np.inf, 0, None
     for k in range(ITERATIONS):
-        defect = splitting.find_defect(state)
-        size = float(np.linalg.norm(defect)) / unit
+        if not np.linalg.norm(state) < LOST * unit:
+            break
+        forces, admissible = splitting.compare(state)
+        defect = admissible - forces
+        size = float(np.linalg.norm(defect) / np.clip(np.linalg.norm(forces), LEAST * unit, unit))
         if size < best.defect:
             best = Split(state, size, k + 1)
         if size < PROGRESS * lowest:

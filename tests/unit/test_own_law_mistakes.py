@@ -58,6 +58,12 @@ def pose(kind: type, monkeypatch, **parameters) -> ContactProblem:
             [damper(**answer(lambda r: r._replace(partials=(r.partials[1]._replace(direction="tangent"),))))],
             r'a Partial by the direction "tangent"; .* did you mean "tangential"\?',
         ),
+        ([damper(opposes="velocities")], r"Damper\.opposes = 'velocities'; .* did you mean \"velocity\"\?"),
+        ([damper(opposes="velocity")], r'Damper\.opposes = "velocity", but it has no admit'),
+        (
+            [damper(opposes="velocity", admit=lambda self, trial: 0, impedance=np.ones(3))],
+            r"Damper\.impedance has shape \(3,\); give one a pair, \(1,\)",
+        ),
         ([damper(direction="normal")], r'Damper\.direction = "normal", where .* one in "tangential"'),
         ([], r"0 laws own the tangential force of pair 0; the kind that acts there must build one law"),
         ([damper(), damper()], r"2 laws own the tangential force of pair 0"),
@@ -67,6 +73,14 @@ def test_laws_that_make_no_sense_are_refused(laws, message, monkeypatch):
     """Before, a misspelt variable was taken for a displacement, and a row without a law for solved."""
     with pytest.raises(ModelError, match=message):
         solve(pose(dataclass(make_kind(*laws)), monkeypatch))
+
+
+def test_a_law_that_admits_no_force_of_each_pair_at_each_instant_is_refused(monkeypatch):
+    """In a joint that is large enough for a splitting; small ones never ask."""
+    monkeypatch.setattr("ewr_fenicsx.splitting.WORTHWHILE", 0)
+    law = damper(opposes="velocity", admit=lambda self, trial: trial["tangential"].T, linear=False)
+    with pytest.raises(ModelError, match=r"Damper\.admit returns an array of shape \(1, 64\); give one of \(64, 1\)"):
+        solve(pose(dataclass(make_kind(law)), monkeypatch))
 
 
 def test_a_history_that_no_law_reports_is_not_zero(monkeypatch):

@@ -28,6 +28,12 @@ def pose(problem: ContactProblem) -> HarmonicBalance:
     return HarmonicBalance(pose_problem(problem).system)
 
 
+def find_defect(splitting: Splitting, state: np.ndarray) -> np.ndarray:
+    """Admissible forces less those of the structure."""
+    forces, admissible = splitting.compare(state)
+    return admissible - forces
+
+
 @pytest.fixture
 def always_split(monkeypatch):
     """In small joints as well."""
@@ -112,7 +118,7 @@ def test_friction_under_given_normal_forces_is_found_from_anywhere_at_the_resona
     for state in starts:
         before = np.inf
         for _ in range(6000):
-            defect = splitting.find_defect(state)
+            defect = find_defect(splitting, state)
             size = np.linalg.norm(defect / np.sqrt(splitting.scale))
             assert size <= before * (1 + 1e-9) + 1e-12
             before, state = size, state + defect
@@ -128,7 +134,7 @@ def test_extrapolation_takes_fewer_iterations():
     found = settle(splitting, splitting.begin(), 1e-4)
     state, unit = splitting.begin(), splitting.balance.force_unit * np.sqrt(FEWEST_SAMPLES / 2)
     plain = 1
-    while np.linalg.norm(defect := splitting.find_defect(state)) > 1e-4 * unit and plain < 2000:
+    while np.linalg.norm(defect := find_defect(splitting, state)) > 1e-4 * unit and plain < 2000:
         state, plain = state + defect, plain + 1
     assert found.defect <= 1e-4 and 1.5 * found.iterations < plain
 
@@ -219,3 +225,23 @@ def test_a_static_state_is_split_as_well(always_split):
         model = replace(model, load={0: np.array([0.0, lift, 0.0, -1.0])})
         solution = solve(ContactProblem(model, ContactLaws(friction=0.1), 0.0))
         assert solution.fallbacks == () and (abs(solution.forces[0, 0]) < 1e-8) == opens
+
+
+def test_a_defect_is_measured_by_the_forces_where_the_unit_of_force_is_far_above_them(always_split):
+    """As where full stick closes gaps that stay open: what settles is near a solution all the same."""
+    problem = pose_problem(PROBLEMS["lift-off"])
+    balance = HarmonicBalance(problem.system)
+    vast = HarmonicBalance(problem.system, 100 * balance.force_unit)
+    ends = [settle(s := Splitting(b), s.begin(), 1e-3) for b in (balance, vast)]
+    assert ends[0].iterations == ends[1].iterations > 10
+    np.testing.assert_array_equal(ends[0].state, ends[1].state)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_runs_to_infinity_is_left_before_the_laws_see_it():
+    balance = pose(PROBLEMS["lift-off"])
+    splitting = Splitting(balance)
+    found = settle(splitting, 1e300 * splitting.begin(), 1e-3)
+    assert found.defect == np.inf and found.iterations == 1
+    state = np.full_like(splitting.begin(), np.nan)
+    assert settle(splitting, state, 1e-3).defect == np.inf
