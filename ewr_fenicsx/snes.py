@@ -28,7 +28,7 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
 # Dense factors of so many unknowns precondition GMRES at later steps, for few samples change status in between: how
 # exact a step must be far from the solution and close to it, and in how many iterations, else there are new factors.
-REUSE_FROM, REUSE_ITERATIONS = 500, 20
+REUSE_FROM, REUSE_ITERATIONS = 500, 10
 FAR_TOLERANCE, CLOSE_TOLERANCE = 0.25, 1e-4
 
 
