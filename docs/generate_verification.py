@@ -179,25 +179,23 @@ its time with the default one. Ratios are time stepping's time over that of harm
 that the project aims at. Empty: not reached with what was tried.
 
 First with the better of the two closures, against the fastest of all ways to step, and against the fastest that stops
-by itself; the least ratio of the three kinds of errors:""",
+by itself:""",
         "",
-        write_table(["Hz", "level %", "ratio fastest", "ratio own stop", "to reach"], tell_ratios(found["summary"])),
+        write_table(
+            ["Hz", "error of", "level %", "ratio fastest", "ratio own stop", "to reach"], tell_ratios(found["summary"])
+        ),
         "",
         write_table(list(found["summary"][0]), [list(map(show_number, row.values())) for row in found["summary"]]),
     ]
 
 
 def tell_ratios(summary: list[dict]) -> list[list[str]]:
-    """Rows of time stepping's time over harmonic balance's by frequency and level, with the better closure for each."""
+    """Time stepping's time over harmonic balance's by frequency, error and level, with the better closure for each."""
     rows = []
-    for frequency, level in dict.fromkeys((row["Hz"], row["level %"]) for row in summary):
-        here = [row for row in summary if (row["Hz"], row["level %"]) == (frequency, level) and row["N"]]
-        kinds = dict.fromkeys(row["error of"] for row in here)
-        least = [
-            min(max(row[f"ratio {way}"] for row in here if row["error of"] == kind) for kind in kinds)
-            for way in ("fastest", "own stop")
-        ]
-        rows.append(list(map(show_number, (frequency, level, *least, here[0]["to reach"]))))
+    for which in dict.fromkeys((row["Hz"], row["error of"], row["level %"]) for row in summary):
+        here = [r for r in summary if (r["Hz"], r["error of"], r["level %"]) == which and r["N"]]
+        best = [max((r[f"ratio {way}"] for r in here), default=None) for way in ("fastest", "own stop")]
+        rows.append(list(map(show_number, (*which, *best, here[0]["to reach"] if here else None))))
     return rows
 
 
