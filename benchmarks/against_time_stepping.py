@@ -11,12 +11,12 @@ time stepping extrapolated to no step at all. The step from one extrapolation to
 own error.
 
 What counts is the smallest N, or number of steps, from which on all larger ones tried meet the level. Both may stop
-early, as a level of 1 % needs no residual of 1e-8. The harmonic solver stops at the loosest of three tolerances with
-which that holds for it; "to 1e-8" is its time with the default one. Time stepping is told by an oracle when to stop:
-plain, at the first period from which on its error meets the level; accelerated, at the loosest tolerance tried that
-meets it. A user has no such oracle and pays more: "own stop" is plain stepping until it finds itself steady, by its
-default tolerance. One thread; compilation, and what is
-computed once a model, are not timed. Times are the process's own (CPU), which other work on the machine disturbs less.
+early, as a level of 1 % needs no residual of 1e-8. The harmonic solver has three tolerances, of which the quickest
+counts for which that holds; "to 1e-8" is its time with the default one. Time stepping is told by an oracle when to
+stop: plain, at the first period from which on its error meets the level; accelerated, at the loosest tolerance tried
+that meets it. A user has no such oracle and pays more: "own stop" is plain stepping until it finds itself steady, by
+its default tolerance. One thread; compilation, and what is computed once a model, are not timed. Times are the
+process's own (CPU), which other work on the machine disturbs less.
 """
 
 from __future__ import annotations

@@ -51,6 +51,8 @@ class HarmonicBalance:
         self.rows = system.rows.shape[0]
         self.rigid = system.compliance.rigid_motion.shape[1]
         self.law_rows = match_rows(system)
+        for law in system.laws:
+            check_projection(law)
         self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
         for law, rows in zip(system.laws, self.law_rows, strict=True):
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
@@ -256,11 +258,9 @@ def match_rows(system: ContactSystem) -> list[np.ndarray]:
     """``(K,)`` rows of each law's pairs.
 
     Raises:
-        ModelError: A law owns a direction in which its kind does not act, or is half a projection; or a row has no law,
-            or two.
+        ModelError: A law owns a direction in which its kind does not act; or a row has no law, or two.
     """
     for law in system.laws:
-        check_projection(law)
         if law.direction not in system.index or np.any(system.index[law.direction][law.pairs] < 0):
             known = ", ".join(f'"{direction}"' for direction in system.index)
             raise ModelError(

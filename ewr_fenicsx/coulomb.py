@@ -124,9 +124,9 @@ class Coulomb(FrictionLaw):
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
+        limit = self.limit(motion.force)
         trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
-        admitted = self.admit({**motion.force, "tangential": trial})
-        return {"admissible_friction_force": admitted, "slipping": np.abs(trial) >= self.limit(motion.force)}
+        return {"admissible_friction_force": project_on_cone(trial, limit), "slipping": np.abs(trial) >= limit}
 
     def rounded(self, width: float) -> Law:
         return RoundedCoulomb(self, width)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_b
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.given import ComplexArray
 from ewr_fenicsx.newton import adopt_weights, solve, wrap
-from ewr_fenicsx.snes import Attempt, run_newton
+from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.warm_starts import guide, split
+from ewr_fenicsx.warm_starts import list_predicted, try_starts
 
 NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near; up to so many, steps may grow
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
@@ -91,14 +91,9 @@ def solve_from(
         forces = forces + ratio * (forces - earlier.forces)
         motion = motion + ratio * (motion - read_motion(earlier))
         rigid = rigid + ratio * (rigid - earlier.rigid)
-    attempts = []
-    if (near := split(balance, forces, motion, rigid)) is not None:
-        attempts.append(run_newton(balance, near, tolerance, "elimination", NEWTON_STEPS, near=True))
-    if not attempts or not attempts[0].converged:
-        guided = guide(balance, forces, motion, rigid)
-        attempt = run_newton(balance, guided, tolerance, "elimination", NEWTON_STEPS)
-        attempts.append(replace(attempt, iterations=attempt.iterations + 1))
-    return wrap(problem, balance, attempts, (), time.perf_counter() - begin)
+    starts = list_predicted(balance, forces, motion, rigid)
+    attempt = try_starts(balance, starts, tolerance, "elimination", NEWTON_STEPS)
+    return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
 
 
 def read_motion(solution: PeriodicSolution) -> ComplexArray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.newton_step import NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.splitting import WORTHWHILE, can_split, find_near
@@ -16,6 +18,8 @@ from ewr_fenicsx.splitting import WORTHWHILE, can_split, find_near
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
 FAR = 5e-3  # residual of what is carried over, above which a splitting may be worth its while
 WARM_STEPS = 40  # Newton steps a run: those that lead anywhere take fewer, nearly all
+
+Start = tuple[RealArray, bool, int]  # unknowns, whether they are near a solution, and the Newton steps that they took
 
 
 def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[ComplexArray, ComplexArray, RealArray]:
@@ -42,19 +46,24 @@ def go_on_from(
     start: PeriodicSolution, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
     """Newton from the solution of another problem on the same model, given up where that takes many steps."""
+    return try_starts(balance, list_starts(start, balance, tolerance), tolerance, linear_solver, WARM_STEPS)
+
+
+def try_starts(
+    balance: HarmonicBalance, starts: Iterable[Start], tolerance: float, linear_solver: LinearSolver, limit: int
+) -> Attempt:
+    """Newton from one start after the other until it converges; the best attempt, with the steps of all of them."""
     attempts, steps = [], 0
-    for unknowns, near, taken in list_starts(start, balance, tolerance):
-        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, WARM_STEPS, near=near))
+    for unknowns, near, taken in starts:
+        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
         steps += attempts[-1].iterations + taken
         if attempts[-1].converged:
             break
     return replace(min(attempts, key=lambda a: a.residual), iterations=steps)
 
 
-def list_starts(
-    start: PeriodicSolution, balance: HarmonicBalance, tolerance: float
-) -> Iterator[tuple[RealArray, bool, int]]:
-    """Unknowns to start at from another problem's solution, whether as near ones, and the Newton steps that they took.
+def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:
+    """Where to start from another problem's solution.
 
     A splitting may lead there, where many pairs change status. Else its forces serve as they are where they cause the
     same motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding
@@ -65,24 +74,38 @@ def list_starts(
     moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
     same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
     left = np.linalg.norm(balance.residual(carried))
-    if left > max(FAR, tolerance) and (near := split(balance, forces, motion, rigid)) is not None:
+    linearise = cache(lambda: balance.linearise(carried, motion))  # once, and only where it is asked for
+    if left > max(FAR, tolerance) and (near := split(balance, forces, motion, linearise)) is not None:
         yield near, True, 0
     if same or left <= tolerance:
         yield carried, True, 0
         yield carried, False, 0
-        yield guide(balance, forces, motion, rigid), False, 1
+        yield step_from(linearise(), carried), False, 1
     else:
-        guided = guide(balance, forces, motion, rigid)
+        guided = step_from(linearise(), carried)
         yield guided, False, 1
         yield guided, True, 0
 
 
-def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray | None:
+def list_predicted(
+    balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray
+) -> Iterator[Start]:
+    """Where to start from forces and motions that need not fit each other, as in ``guide``."""
+    unknowns = balance.pack(forces, rigid)
+    step = balance.linearise(unknowns, motion)
+    if (near := split(balance, forces, motion, lambda: step)) is not None:
+        yield near, True, 0
+    yield step_from(step, unknowns), False, 1
+
+
+def split(
+    balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, linearise: Callable[[], NewtonStep]
+) -> RealArray | None:
     """Unknowns near a solution, where a splitting ends that begins at forces and motions as in ``guide``; else None.
 
-    Only where that is worth its while: a step is cheap where few pairs change status there.
+    Only where that is worth its while: a step is cheap where few pairs change status, as linearised there.
     """
-    if not can_split(balance) or balance.linearise(balance.pack(forces, rigid), motion).unknowns_left < WORTHWHILE:
+    if not can_split(balance) or linearise().unknowns_left < WORTHWHILE:
         return None
     found = find_near(balance, lambda splitting: splitting.join(forces, motion))
     return None if found is None else found[1]
@@ -96,7 +119,11 @@ def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, 
     the pairs anywhere near a resonance.
     """
     unknowns = balance.pack(forces, rigid)
-    step = balance.linearise(unknowns, motion)
+    return step_from(balance.linearise(unknowns, motion), unknowns)
+
+
+def step_from(step: NewtonStep, unknowns: RealArray) -> RealArray:
+    """Unknowns after one whole Newton step; the same where it cannot be solved for."""
     try:
         return unknowns - step.solve(step.residual)
     except np.linalg.LinAlgError:
