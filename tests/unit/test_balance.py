@@ -10,7 +10,7 @@ import pytest
 from balance_points import FREQUENCY, LAWS, STATES, Point, combine_with, prepare
 from small_models import dovetail, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
 from ewr_fenicsx.newton_step import Factorisation
@@ -360,42 +360,3 @@ def test_redundant_pairs_stay_solvable():
     direction = step.solve(-step.residual + 1e-3)
     assert np.all(np.isfinite(direction))
     np.testing.assert_allclose(step.multiply(direction), -step.residual + 1e-3, atol=1e-6)
-
-
-@pytest.mark.parametrize("gap", [1e-3, 10.0, 1e5])
-def test_a_gap_that_nothing_closes_takes_no_digits_from_other_pairs(gap):
-    """Full stick closes it, and its force was what residuals were measured by: 10 m cost 0.3 %, 1 km 15 %."""
-    model = ReducedModel(
-        mass=np.eye(2),
-        damping=50.0 * np.eye(2),
-        stiffness=[[2e7, -1e7], [-1e7, 2e7]],
-        normal=[[0.0, -1.0], [0.0, -1.0]],
-        tangential=[[1.0, 0.0], [1.0, 0.0]],
-        load={1: [100.0, 0.0]},
-        outputs={"tip": [1.0, 0.0]},
-    )
-    rubs = ContactLaws("prescribed", normal_force=100.0, friction=0.3)
-    stop = ContactLaws(tangential="frictionless", initial_gap=gap)
-    none = ContactLaws("prescribed", "frictionless", normal_force=0.0)
-    found, expected = (solve(ContactProblem(model, [([0], rubs), ([1], laws)], 400.0, 15)) for laws in (stop, none))
-    assert abs(expected.output("tip")[1]) > 1e-5
-    np.testing.assert_allclose(found.output("tip"), expected.output("tip"), atol=1e-10 * abs(expected.output("tip")[1]))
-
-
-@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-6])
-def test_a_resonance_of_the_stuck_joint_takes_no_digits_from_pairs_that_slip(off):
-    """Full stick holds an undamped mode by any force, and residuals measured by that pass whatever is tried."""
-    model = ReducedModel(
-        mass=np.eye(2),
-        damping=np.zeros((2, 2)),
-        stiffness=[[2e4, -1e4], [-1e4, 1e4]],
-        tangential=[[1.0, 0.0]],
-        load={1: [0.0, 10.0]},
-        outputs={"tip": [0.0, 1.0]},
-    )
-    laws = ContactLaws("prescribed", normal_force=100.0, friction=0.3)
-    stuck = 100.0 / (2 * np.pi)
-    found, near = (solve(ContactProblem(model, laws, stuck * (1 + share), 15)) for share in (off, 1e-5))
-    assert np.linalg.norm(found.forces) < 1e3
-    np.testing.assert_allclose(found.output("tip"), near.output("tip"), atol=1e-3 * abs(near.output("tip")[1]))
-    assert abs(found.merit["energy_error"]) < 1e-6

@@ -89,13 +89,20 @@ def test_given_normal_forces_lead_to_the_solution_of_the_balance(kind):
 
 
 @pytest.mark.parametrize(
-    "name", ["floating, slip", "floating, mean zero", "lift-off", "plane, floating", "plane, lift-off"]
+    "name, goal",
+    [
+        ("floating, slip", 1e-5),  # the last to settle are mean friction forces, which next to nothing decides
+        ("floating, mean zero", 1e-6),
+        ("lift-off", 1e-6),
+        ("plane, floating", 1e-6),
+        ("plane, lift-off", 1e-6),
+    ],
 )
-def test_so_does_contact_that_opens_of_floating_bodies_and_in_a_plane(name):
+def test_so_does_contact_that_opens_of_floating_bodies_and_in_a_plane(name, goal):
     balance = pose(PROBLEMS[name])
     splitting = Splitting(balance)
-    found = settle(splitting, splitting.begin(), 1e-5)
-    assert found.defect < 1e-5 and found.iterations > 10
+    found = settle(splitting, splitting.begin(), goal)
+    assert found.defect < goal and found.iterations > 10
     assert np.linalg.norm(balance.firm.residual(splitting.unknowns(found.state))) < 1e-4
     assert np.linalg.norm(balance.firm.residual(balance.pack(*balance.full_stick))) > 1e-2
 
