@@ -106,7 +106,9 @@ class NewtonStep:
         """
         return Factorisation(self, right_side, shift).solution
 
-    def _assemble(self, elimination: Elimination, load: RealArray, shift: float) -> tuple[RealArray, RealArray]:
+    def _assemble(
+        self, elimination: Elimination, load: RealArray, shift: float, precision: type = np.float64
+    ) -> tuple[RealArray, RealArray]:
         """Matrix and right side of the mixed rows and the rigid balance.
 
         Rows are (pair, coefficient), columns (coefficient, pair), rigid coordinates last.
@@ -116,7 +118,7 @@ class NewtonStep:
         place = np.full(balance.rows, -1)
         place[mixed] = np.arange(mixed.size)
         size = mixed.size * n_c
-        matrix = np.zeros((size + balance.rigid, size + balance.rigid))
+        matrix = np.zeros((size + balance.rigid, size + balance.rigid), precision)
         b = np.zeros(size + balance.rigid)
         block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
@@ -159,17 +161,18 @@ class Factorisation:
         step: The linearised balance.
         right_side: ``(size,)``, of which ``solution`` is the solution.
         shift: On the diagonal, but for mean friction.
+        precision: Of the factors; in single precision they are a preconditioner, in half the time and memory.
 
     Raises:
-        LinAlgError: The Jacobian is singular.
+        LinAlgError: The Jacobian is singular, or overflows.
     """
 
-    def __init__(self, step: NewtonStep, right_side: RealArray, shift: float = 0.0):
+    def __init__(self, step: NewtonStep, right_side: RealArray, shift: float = 0.0, precision: type = np.float64):
         balance = step.balance
         self.step = step
         load = balance.place(right_side)
         self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, shift * step.shift_weight)
-        matrix, b = step._assemble(self.elimination, load, shift)
+        matrix, b = step._assemble(self.elimination, load, shift, precision)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
         unknown = balance.unknown[:, self.elimination.mixed]
         rigid = np.ones(balance.rigid, dtype=bool)
@@ -177,9 +180,8 @@ class Factorisation:
         if not self.columns.all():  # mean friction that the law sets to zero
             matrix = matrix[np.ix_(self.rows, self.columns)]
         # LAPACK reads the row-major matrix as its transpose: factor that in place, solve with it transposed back
-        self.lu, self.pivots, failed = (
-            scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=True) if b.size else (None, None, 0)
-        )
+        factor = scipy.linalg.get_lapack_funcs("getrf", (matrix,))
+        self.lu, self.pivots, failed = factor(matrix.T, overwrite_a=True) if b.size else (None, None, 0)
         if failed:
             raise np.linalg.LinAlgError("the Newton matrix is singular")
         self.solution = self.elimination.expand(self._solve_mixed(b))
@@ -197,5 +199,6 @@ class Factorisation:
         """Mixed coefficients and rigid coordinates, zeros among them, from a right side by pair and coefficient."""
         x = np.zeros(self.columns.size)
         if b.size:
-            x[self.columns] = scipy.linalg.lu_solve((self.lu, self.pivots), b[self.rows], trans=1, check_finite=False)
+            known = b[self.rows].astype(self.lu.dtype, copy=False)
+            x[self.columns] = scipy.linalg.lu_solve((self.lu, self.pivots), known, trans=1, check_finite=False)
         return x

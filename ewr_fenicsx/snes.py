@@ -26,10 +26,11 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 # there end at a corner without a solution. Far off, Newton may creep for long and still arrive; so it may where next to
 # nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
 STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
-# Dense factors of so many unknowns precondition GMRES at later steps, for few samples change status in between: how
-# exact a step must be far from the solution and close to it, and in how many iterations, else there are new factors.
-REUSE_FROM, REUSE_ITERATIONS = 500, 10
-FAR_TOLERANCE, CLOSE_TOLERANCE = 0.25, 1e-4
+# From so many unknowns on, dense factors are made in single precision, in half the time, and refined by GMRES to
+# ``ROUGH_TOLERANCE``. They precondition later steps too, for few samples change status in between: how exact such a
+# step must be far from the solution and close to it. Where few iterations do not do, there are new or double factors.
+REFINE_FROM, REFINEMENTS = 500, 10
+FAR_TOLERANCE, CLOSE_TOLERANCE, ROUGH_TOLERANCE = 0.25, 1e-4, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +165,6 @@ class _HalvedNewton:
         f = snes.getFunction()[0]
         J, P = snes.getJacobian()[:2]
         ksp = snes.getKSP()
-        direct = ksp.getType() == PETSc.KSP.Type.PREONLY
         step, trial, residual = x.duplicate(), x.duplicate(), f.duplicate()
         _, tolerance, _, limit = snes.getTolerances()
         snes.computeFunction(x, f)
@@ -184,10 +184,7 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
-            exact = FAR_TOLERANCE if self.equations.far else CLOSE_TOLERANCE
-            if not (direct and self.factored >= REUSE_FROM and solve_with_old_factors(ksp, f, step, exact)):
-                ksp.solve(f, step)
-                self.factored = self.equations.step.unknowns_left
+            self._solve_step(ksp, f, step)
             if not np.isfinite(step.norm()):
                 return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
             damping = 1.0
@@ -204,13 +201,26 @@ class _HalvedNewton:
             residual.copy(f)
             norm = found
 
+    def _solve_step(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> None:
+        """A Newton step: with factors at hand, or else new ones, in single precision where that will do."""
+        equations, direct = self.equations, ksp.getType() == PETSc.KSP.Type.PREONLY
+        tolerance = FAR_TOLERANCE if equations.far else CLOSE_TOLERANCE
+        if direct and self.factored >= REFINE_FROM and refine(ksp, right_side, step, tolerance, old=True):
+            return
+        self.factored = equations.step.unknowns_left
+        if direct and self.factored >= REFINE_FROM and ksp.getPC().getType() == PETSc.PC.Type.PYTHON:
+            equations.factor_anew(np.float32)
+            if refine(ksp, right_side, step, ROUGH_TOLERANCE, old=False):
+                return
+        equations.factor_anew(np.float64)
+        ksp.solve(right_side, step)
 
-def solve_with_old_factors(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, tolerance: float) -> bool:
-    """Whether GMRES with the factors of an earlier step solves the system in few iterations."""
-    ksp.setTolerances(rtol=tolerance, max_it=REUSE_ITERATIONS)
-    ksp.setType(PETSc.KSP.Type.GMRES)
-    ksp.setPCSide(PETSc.PC.Side.RIGHT)
-    ksp.getPC().setReusePreconditioner(True)
+
+def refine(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, tolerance: float, *, old: bool) -> bool:
+    """Whether GMRES solves the system in few iterations with factors that are rough, or ``old``: of an earlier step."""
+    ksp.setTolerances(rtol=tolerance, max_it=REFINEMENTS)
+    ksp.setType(PETSc.KSP.Type.FGMRES)  # flexible: factors in single precision round every vector anew
+    ksp.getPC().setReusePreconditioner(old)
     ksp.solve(right_side, x)
     solved = ksp.getConvergedReason() > 0
     ksp.setType(PETSc.KSP.Type.PREONLY)
@@ -219,10 +229,15 @@ def solve_with_old_factors(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, 
 
 
 class _Equations:
-    """The balance as PETSc sees it: residual, Jacobian as a matrix or as an operator, and that one's exact inverse."""
+    """The balance as PETSc sees it: residual, Jacobian as a matrix or an operator, and its inverse by factors."""
 
     def __init__(self):
+        self.factor_anew(np.float64)
+
+    def factor_anew(self, precision: type) -> None:
+        """Forgets its factors: the next are of this precision."""
         self.factors: Factorisation | None = None
+        self.precision = precision
 
     def pose(self, balance: HarmonicBalance, first: float, most_shift: float) -> None:
         """The balance of a run, its first residual norm, and the most that is added to contact rows."""
@@ -252,7 +267,7 @@ class _Equations:
             x.array[:] = self.factors.solve(b.array_r)
             return
         try:
-            self.factors = Factorisation(self.step, b.array_r, self.shift)
+            self.factors = Factorisation(self.step, b.array_r, self.shift, self.precision)
             x.array[:] = self.factors.solution
         except np.linalg.LinAlgError:
             x.set(np.nan)  # the step then ends the iteration

@@ -37,7 +37,7 @@ from ewr_fenicsx.law_kinds import Law
 # Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
 # as pairs that slip move each other. A few times either way cost some iterations.
 SCALE = {"displacement": 3.0, "velocity": 1.0}
-SAMPLES, FEWEST_SAMPLES = 8, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
+SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
 WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
 ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
@@ -212,8 +212,8 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
     Anderson's extrapolation combines the last iterations so that the defect would be least, were it linear.
     """
     unit = splitting.balance.force_unit * np.sqrt(len(state) / 2)
-    moves, changes = np.empty((2, WINDOW, state.size))
-    products = np.empty((WINDOW, WINDOW))
+    advances, changes = np.empty((2, WINDOW, state.size))  # moves with their changes, and changes of the defect
+    products, overlap = np.empty((WINDOW, WINDOW)), np.empty(WINDOW)
     best, lowest, last, before = Split(state, np.inf, 0), np.inf, 0, None
     for k in range(ITERATIONS):
         if not np.linalg.norm(state) < LOST * unit:
@@ -227,14 +227,18 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
             lowest, last = size, k
         if not size > tolerance or k - last > PATIENCE:
             break
-        step = defect
+        after = state + defect
         if before is not None:
             i, known = (k - 1) % WINDOW, min(k, WINDOW)
-            moves[i], changes[i] = (state - before[0]).ravel(), (defect - before[1]).ravel()
-            products[i, :known] = products[:known, i] = changes[:known] @ changes[i]
+            np.subtract(defect, before[1], out=changes[i].reshape(defect.shape))
+            np.subtract(after, before[0], out=advances[i].reshape(after.shape))
+            products[i, :known] = products[:known, i] = changes[:known] @ changes[i].ravel()
+            overlap[:known] += products[i, :known]
+            overlap[i] = changes[i] @ defect.ravel()
             normal = products[:known, :known]
             normal = normal + ROUNDING * np.trace(normal) * np.eye(known)
-            shares = np.linalg.solve(normal, changes[:known] @ defect.ravel())
-            step = defect - (shares @ moves[:known] + shares @ changes[:known]).reshape(state.shape)
-        before, state = (state, defect), state + step
+            shares = np.linalg.solve(normal, overlap[:known])
+            before, state = (after, defect), after - (shares @ advances[:known]).reshape(state.shape)
+        else:
+            before, state = (after, defect), after
     return best._replace(iterations=k + 1)

@@ -83,9 +83,9 @@ def test_no_step_from_a_near_start_is_shortened(monkeypatch):
     shifts = []
 
     class Spy(Factorisation):
-        def __init__(self, step, right_side, shift=0.0):
+        def __init__(self, step, right_side, shift, precision):
             shifts.append(shift)
-            super().__init__(step, right_side, shift)
+            super().__init__(step, right_side, shift, precision)
 
     monkeypatch.setattr(snes, "Factorisation", Spy)
     start = solve(SLIPS)
