@@ -39,7 +39,8 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import EwrError
-from ewr_fenicsx.estimates import choose_samples, compare_responses
+from ewr_fenicsx.estimates import compare_responses
+from ewr_fenicsx.looking_ahead import choose_samples
 from ewr_fenicsx.scene import load_scene
 from ewr_fenicsx.solution import PeriodicSolution
 

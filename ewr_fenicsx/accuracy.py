@@ -18,7 +18,6 @@ from ewr_fenicsx.estimates import (
     ErrorEstimate,
     Figure,
     choose_harmonics,
-    choose_samples,
     estimate_modes,
     estimate_samples,
     estimate_together,
@@ -27,6 +26,7 @@ from ewr_fenicsx.estimates import (
     measure_distance,
 )
 from ewr_fenicsx.given import is_whole, read_numbers
+from ewr_fenicsx.looking_ahead import choose_samples
 from ewr_fenicsx.newton import solve, use_default_weights
 from ewr_fenicsx.solution import PeriodicSolution
 

@@ -87,7 +87,7 @@ class HarmonicBalance:
             for law, rows in zip(self.system.laws, self.law_rows, strict=True):
                 target[rows] = np.nan if law.static_target is None else place(law.static_target)
             held = np.flatnonzero(np.isfinite(target))
-            unit = np.mean(self.system.flexibility)
+            unit = self.mean_flexibility
             G = compliance.rigid_motion[held]
             saddle = np.block(
                 [
@@ -130,14 +130,19 @@ class HarmonicBalance:
         return self if np.array_equal(firm.static_force_row, self.static_force_row) else firm
 
     @cached_property
+    def mean_flexibility(self) -> float:
+        """Of the rows, by which motions are brought to forces [m/N]; one where there are none."""
+        return float(np.mean(self.system.flexibility)) if self.rows else 1.0
+
+    @cached_property
     def length_unit(self) -> float:
         """Natural length of the problem [m]."""
-        return self.force_unit * float(np.mean(self.system.flexibility))
+        return self.force_unit * self.mean_flexibility
 
     @cached_property
     def rigid_motion(self) -> RealArray:
         """``(m, r)`` motion of the rows by the scaled rigid coordinates, which are in newtons [m/N]."""
-        return self.compliance.rigid_motion * float(np.mean(self.system.flexibility))
+        return self.compliance.rigid_motion * self.mean_flexibility
 
     def pack(self, forces: ComplexArray, rigid: RealArray) -> RealArray:
         """Scaled vector of unknowns, ``(size,)``."""

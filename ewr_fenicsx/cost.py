@@ -15,9 +15,9 @@ import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight, read_weight, use_mobility
-from ewr_fenicsx.estimates import choose_samples
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.indicators import measure_cone_violation, measure_sliding
+from ewr_fenicsx.looking_ahead import choose_samples
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 

@@ -1,7 +1,7 @@
 """How far a periodic solution is from the one without truncation, estimated from the solution itself.
 
 The error is that of the outputs' oscillation over a period: the norm of the difference over the norm, the largest over
-the outputs; phase counts. It is estimated by single Newton steps on a neighbouring problem:
+the outputs; phase counts. It is estimated by single Newton steps on a neighbouring problem (``looking_ahead.py``):
 
 - *harmonics*: half as many again; what they leave of the laws drives the step, and all harmonics answer. Where springs
   close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
@@ -9,7 +9,8 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated. It adds to what harmonics do.
 - *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
 
-The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer.
+The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer; in
+large joints operator splitting gets there in less time.
 What the weight does is looked at apart: it may cancel against the harmonics.
 
 The outputs may know little of what happens in the joint: a further ``figure`` of a solution, such as its wear, may be
@@ -23,25 +24,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.closure import measure_beyond
-from ewr_fenicsx.compliance import find_normal_modes
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.dashpots import read_friction_weight, use_mobility
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.dashpots import read_friction_weight
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.inexact_step import solve_inexactly
+from ewr_fenicsx.looking_ahead import approach, look_ahead, take_step
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.symmetry import leave_out_idle
-from ewr_fenicsx.warm_starts import carry_over
 
-LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
-LEAST_SAMPLES = 64
-RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
-MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
-RINGING_SAMPLES = 2.5  # a highest harmonic, at least
 MODES_DROPPED = 1 / 3
 # The error falls like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead. With dashpots, beyond
 # the first set of harmonics, that is slower: with 1 / N for one mass, faster for most blocks and rows of masses.
@@ -142,30 +132,6 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure
     return max(distance, float(np.abs(here - there).max(initial=0.0) / largest) if largest else 0.0)
 
 
-def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSolution | None:
-    """One Newton step from a solution towards that of a neighbouring problem; None where it cannot be solved for.
-
-    Args:
-        solution: Converged, or nearly.
-        problem: The same joint with other harmonics, samples or weights.
-    """
-    problem = leave_out_idle(problem, solution)
-    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
-    if problem.system.rows.shape[0]:
-        unit = float(np.linalg.norm(solution.forces)) or 1.0  # any: nothing is compared with a tolerance
-        balance = HarmonicBalance(problem.system, unit)
-        *known, rigid = carry_over(solution, balance)
-        unknowns = balance.pack(known[0], rigid)
-        step = balance.linearise(unknowns, known[1])  # at its own motion, which another compliance would change
-        try:
-            forces, rigid = balance.unpack(unknowns - solve_inexactly(balance, step))
-        except np.linalg.LinAlgError:
-            return None
-    return replace(
-        solution, problem=problem, forces=forces, rigid=rigid, converged=False, reason="one Newton step", iterations=1
-    )
-
-
 def step_towards(solution: PeriodicSolution, problem: ContactProblem, figure: Figure | None = None) -> float:
     """How far one Newton step on a neighbouring problem moves the outputs of a solution, relative.
 
@@ -185,61 +151,6 @@ def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None, fig
     return np.inf if moved is None else measure_distance(moved, solution, figure)
 
 
-def raise_harmonics(problem: ContactProblem) -> ContactProblem:
-    """The problem with all harmonics up to half as high again, and samples to match.
-
-    What springs leave is small and seen from further off: with twice the harmonics, and dashpots.
-    """
-    highest = problem.basis.orders[-1]
-    sprung = "springs" in problem.system.closures
-    added = highest if sprung else highest // 2 + 1
-    raised = highest + max(added, LEAST_LOOKAHEAD - 1)
-    # a number leaves out what is zero by symmetry, a list does not
-    everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
-    density = problem.basis.samples / max(1, highest)
-    problem = replace(problem, harmonics=everything, samples=choose_samples(raised, density))
-    return use_mobility(replace(problem, closure="dashpot")) if sprung else problem
-
-
-def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
-    """The problem with more harmonics, and up to which of them there are all: those that ring come on top."""
-    raised = raise_harmonics(solution.problem)
-    top = raised.basis.orders[-1]
-    if ringing := find_ringing(solution.problem, top):
-        needed = leave_out_idle(raised, solution).basis.orders
-        odd = all(h % 2 for h in needed if h)
-        ringing = [h for h in ringing if h % 2 or not odd]
-    if ringing:
-        samples = max(raised.basis.samples, choose_samples(max(ringing), RINGING_SAMPLES))
-        raised = replace(raised, harmonics=(*needed, *ringing), samples=samples)
-    return raised, top
-
-
-def find_ringing(problem: ContactProblem, top: int) -> list[int]:
-    """Harmonics above ``top`` at which the open joint resonates: what contact leaves there falls at no steady rate.
-
-    Those with the largest flexibility of any row over the number of the harmonic; none where modes do not uncouple the
-    model.
-    """
-    system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
-    if orders.size < 3 or not len(system.rows) or find_normal_modes(system.model) is None:
-        return []
-    try:
-        flexibility = np.abs(measure_beyond(system.model, system.rows, problem.omega, orders)) / system.flexibility
-    except ModelError:  # one hits an undamped mode exactly: no step could have it
-        return []
-    largest = flexibility.max(axis=1)
-    here, below, above = largest[1:-1], largest[:-2], largest[2:]
-    peaks = np.flatnonzero((here >= np.maximum(below, above)) & (here > RINGING * np.minimum(below, above)))
-    first = peaks[np.argsort(-here[peaks] / orders[1:-1][peaks], kind="stable")][:MOST_RINGING]
-    return sorted(int(h) for h in orders[1:-1][first])
-
-
-def choose_samples(highest: int, density: float) -> int:
-    """Samples a period, even: ``density`` a highest harmonic, and not too few for the low ones."""
-    return 2 * int(np.ceil(max(LEAST_SAMPLES, density * highest) / 2))
-
-
 def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None) -> float:
     """Error by the harmonics left out: one Newton step with half as many again."""
     return step_towards(solution, look_ahead(solution)[0], figure)
@@ -250,21 +161,20 @@ def estimate_together(
 ) -> float:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
-    Where one Newton step tells of far more than the accuracy, or far less, that is all; but not where it tells of far
-    less than the solution has ``moved``, by the same measure, from the one with fewer harmonics. Else a second one on
-    the same problem follows: it is mostly closer to the true error, and half of what it changed is added for what
-    further steps would. The steps reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the
+    Where a first look tells of far more than the accuracy, or far less, that is all; but not where it tells of far
+    less than the solution has ``moved``, by the same measure, from the one with fewer harmonics. Else a second look at
+    the same problem follows (``approach``): it is mostly closer to the true error, and half of what it changed is added
+    for what further ones would. They reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the
     error, and its whole is returned.
     """
     raised, top = look_ahead(solution)
-    ahead = take_step(solution, replace(raised, samples=2 * raised.basis.samples))
-    if ahead is None:
-        return np.inf
+    problem = replace(raised, samples=2 * raised.basis.samples)
     seen = 1 - (solution.orders[-1] / max(1, top)) ** find_rate(solution.problem)
-    first = measure_step(solution, ahead, figure) / seen
+    looks = (measure_distance(ahead, solution, figure) / seen for ahead in approach(solution, problem, accuracy))
+    first = next(looks, np.inf)
     if first > CLEAR * accuracy or (CLEAR * first < accuracy and moved < SURPRISE * first):
         return first
-    second = measure_step(solution, take_step(ahead, ahead.problem), figure) / seen
+    second = next(looks, np.inf)
     return second + abs(second - first) / 2
 
 

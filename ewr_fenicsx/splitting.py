@@ -176,7 +176,7 @@ class Splitting:
         harmonics, kept = self.respond(state)
         rigid = self.rigid_unforced
         if rigid.size:
-            rigid = (self.rigid_inverse @ harmonics[0].real + rigid) * np.mean(self.balance.system.flexibility)
+            rigid = (self.rigid_inverse @ harmonics[0].real + rigid) * self.balance.mean_flexibility
         return self.balance.pack(kept, rigid)
 
     def begin(self) -> RealArray:

@@ -23,10 +23,9 @@ from ewr_fenicsx.estimates import (
     find_rate,
     measure_distance,
     measure_step,
-    raise_harmonics,
     step_towards,
-    take_step,
 )
+from ewr_fenicsx.looking_ahead import raise_harmonics, take_step
 
 FREQUENCY = 0.7 / (2 * np.pi)
 

@@ -22,12 +22,12 @@ ORDER = [
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
     "periodicity", "time_integration", "symmetry", "continuation", "snes", "splitting", "ladder", "warm_starts",
-    "newton", "dashpots", "estimates", "accuracy", "cost", "progress", "task_sharing", "solution_store", "following",
-    "refining", "sweep_store", "frequency_sweep", "archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear",
-    "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
-    "effects", "mesh", "materials", "elasticity", "interface", "modes", "columns", "reduction", "chain", "gathering",
-    "plots", "cost_plots", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report",
-    "cli", "__main__",
+    "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "cost", "progress", "task_sharing",
+    "solution_store", "following", "refining", "sweep_store", "frequency_sweep", "archard", "wear_store",
+    "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure", "scene_joint",
+    "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes",
+    "columns", "reduction", "chain", "gathering", "plots", "cost_plots", "result_folder", "output", "wear_fields",
+    "work_folder", "findings", "study", "cost_report", "cli", "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
