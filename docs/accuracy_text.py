@@ -30,7 +30,7 @@ the knob that dominates, and starts the next solve at the last solution. Masses 
 truncation of friction, and from the second set of harmonics on springs do where joints are elastic
 (`docs/method.md`): both take fewer harmonics than dashpots. A second Newton step sharpens the estimate, unless the
 first one tells of far more than is asked, or of far less where the last harmonics changed little. In large joints
-operator splitting takes the place of both, where it ends near a solution. The estimate comes
+operator splitting takes their place, as far as it gets. The estimate comes
 with the result, and so does the reason where the accuracy was not reached. It covers the outputs at the given
 frequency, as far as contact solve and modes decide on them. It knows nothing of the mesh's error.
 

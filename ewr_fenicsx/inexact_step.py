@@ -2,8 +2,8 @@
 
 GMRES with a preconditioner that leaves out how higher harmonics couple: the lowest ones are solved for as in an exact
 step, each higher one by itself, with the laws' derivatives at their mean over the period. The estimates of errors need
-no more (``estimates.py``): they reach to twice as many harmonics as the solution, where an exact step takes longer than
-all the Newton steps to the solution.
+no more (``looking_ahead.py``): they reach to twice as many harmonics as the solution, where an exact step takes longer
+than all the Newton steps to the solution.
 """
 
 from __future__ import annotations

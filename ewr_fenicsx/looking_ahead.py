@@ -74,7 +74,9 @@ class _Neighbour:
 
 
 def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: float) -> Iterator[PeriodicSolution]:
-    """Approximations of a neighbouring problem's solution, each closer than the last; none where a step has no answer.
+    """Approximations of a neighbouring problem's solution, one begun where the last ended, until a step has no answer.
+
+    A splitting takes samples of its own, as many as all harmonics need.
 
     Args:
         solution: Converged, or nearly.
@@ -82,17 +84,23 @@ def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: floa
         accuracy: Relative error that matters.
     """
     near = _Neighbour.of(solution, problem)
-    if can_split(near.balance) and near.step.unknowns_left >= DEAR:
-        yield from _settle(near, accuracy)
+    if _can_settle(near):
+        for ahead in _settle(near, accuracy):
+            yield ahead
+            near = _Neighbour.of(ahead, ahead.problem)
     while (ahead := _take_step(near)) is not None:
         yield ahead
         near = _Neighbour.of(ahead, ahead.problem)
 
 
+def _can_settle(near: _Neighbour) -> bool:
+    """Whether a splitting ends at the neighbour's solution, not near it only, and in less time than Newton steps."""
+    ends_there = can_split(near.balance) and all(law.impedance is not None for law in near.balance.system.laws)
+    return ends_there and near.step.unknowns_left >= DEAR
+
+
 def _settle(near: _Neighbour, accuracy: float) -> Iterator[PeriodicSolution]:
-    """Where a splitting from the solution's state comes to, as long as its defect falls; none that ends near only."""
-    if any(law.impedance is None for law in near.balance.system.laws):
-        return
+    """Where a splitting from the solution's state comes to, with ever smaller defects; ends where it stalls."""
     try:
         splitting = Splitting(near.balance)
         state = splitting.join(near.forces, near.motion)

@@ -164,7 +164,7 @@ class Factorisation:
         precision: Of the factors; in single precision they are a preconditioner, in half the time and memory.
 
     Raises:
-        LinAlgError: The Jacobian is singular, or overflows.
+        LinAlgError: The Jacobian is singular.
     """
 
     def __init__(self, step: NewtonStep, right_side: RealArray, shift: float = 0.0, precision: type = np.float64):

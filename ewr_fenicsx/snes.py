@@ -28,7 +28,8 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
 # From so many unknowns on, dense factors are made in single precision, in half the time, and refined by GMRES to
 # ``ROUGH_TOLERANCE``. They precondition later steps too, for few samples change status in between: how exact such a
-# step must be far from the solution and close to it. Where few iterations do not do, there are new or double factors.
+# step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
+# residual fall, there are new or double factors.
 REFINE_FROM, REFINEMENTS = 500, 10
 FAR_TOLERANCE, CLOSE_TOLERANCE, ROUGH_TOLERANCE = 0.25, 1e-4, 1e-10
 
@@ -120,7 +121,7 @@ class _Newton:
         """One run from one start; ``again``: where the run before ended, whose factors may serve."""
         self.equations.pose(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
         if not again:
-            self.halved.factored = 0
+            self.halved.factored, self.halved.single = 0, True
         self.snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
         self.snes.setFromOptions()
         if self.limit is not None:
@@ -159,6 +160,7 @@ class _HalvedNewton:
     def __init__(self, equations: _Equations):
         self.equations = equations
         self.factored = 0  # unknowns of the factors at hand
+        self.single = True  # whether factors in single precision do
 
     def solve(self, snes: PETSc.SNES, _: PETSc.Vec, x: PETSc.Vec) -> None:
         reason = PETSc.SNES.ConvergedReason
@@ -184,36 +186,51 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
-            self._solve_step(ksp, f, step)
-            if not np.isfinite(step.norm()):
-                return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
+            reused = self._reuse_factors(ksp, f, step)
+            if not reused:
+                self._factor_anew(ksp, f, step)
             damping = 1.0
             while True:
+                if not np.isfinite(step.norm()):
+                    return snes.setConvergedReason(reason.DIVERGED_LINEAR_SOLVE)
                 trial.waxpy(-damping, step, x)
                 snes.computeFunction(trial, residual)
                 found = residual.norm()
                 if found <= (1 - 1e-4 * damping) * norm:
                     break
                 damping *= 0.5
-                if damping < SMALLEST_DAMPING:
+                if damping < SMALLEST_DAMPING and reused:  # the step may be to blame
+                    self._factor_anew(ksp, f, step)
+                    reused, damping = False, 1.0
+                elif damping < SMALLEST_DAMPING:
                     return snes.setConvergedReason(reason.DIVERGED_LINE_SEARCH)
             trial.copy(x)
             residual.copy(f)
             norm = found
 
-    def _solve_step(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> None:
-        """A Newton step: with factors at hand, or else new ones, in single precision where that will do."""
-        equations, direct = self.equations, ksp.getType() == PETSc.KSP.Type.PREONLY
-        tolerance = FAR_TOLERANCE if equations.far else CLOSE_TOLERANCE
-        if direct and self.factored >= REFINE_FROM and refine(ksp, right_side, step, tolerance, old=True):
-            return
+    def _reuse_factors(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> bool:
+        """Whether the factors of an earlier step gave this one."""
+        tolerance = FAR_TOLERANCE if self.equations.far else CLOSE_TOLERANCE
+        large = self.factored >= REFINE_FROM and is_direct(ksp)
+        return large and refine(ksp, right_side, step, tolerance, old=True)
+
+    def _factor_anew(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> None:
+        """A Newton step with factors of its own: in single precision, unless that did not do at an earlier step."""
+        equations = self.equations
         self.factored = equations.step.unknowns_left
-        if direct and self.factored >= REFINE_FROM and ksp.getPC().getType() == PETSc.PC.Type.PYTHON:
-            equations.factor_anew(np.float32)
-            if refine(ksp, right_side, step, ROUGH_TOLERANCE, old=False):
+        own = ksp.getPC().getType() == PETSc.PC.Type.PYTHON
+        if own and self.single and self.factored >= REFINE_FROM and is_direct(ksp):
+            equations.forget_factors(np.float32)
+            self.single = refine(ksp, right_side, step, ROUGH_TOLERANCE, old=False)
+            if self.single:
                 return
-        equations.factor_anew(np.float64)
+        equations.forget_factors(np.float64)
         ksp.solve(right_side, step)
+
+
+def is_direct(ksp: PETSc.KSP) -> bool:
+    """Whether a linear solve is one with factors, and nothing that a user has asked for in place of it."""
+    return ksp.getType() == PETSc.KSP.Type.PREONLY
 
 
 def refine(ksp: PETSc.KSP, right_side: PETSc.Vec, x: PETSc.Vec, tolerance: float, *, old: bool) -> bool:
@@ -232,10 +249,10 @@ class _Equations:
     """The balance as PETSc sees it: residual, Jacobian as a matrix or an operator, and its inverse by factors."""
 
     def __init__(self):
-        self.factor_anew(np.float64)
+        self.forget_factors(np.float64)
 
-    def factor_anew(self, precision: type) -> None:
-        """Forgets its factors: the next are of this precision."""
+    def forget_factors(self, precision: type) -> None:
+        """The next factors are new ones, of this precision."""
         self.factors: Factorisation | None = None
         self.precision = precision
 

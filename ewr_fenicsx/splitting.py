@@ -213,7 +213,7 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
     """
     unit = splitting.balance.force_unit * np.sqrt(len(state) / 2)
     advances, changes = np.empty((2, WINDOW, state.size))  # moves with their changes, and changes of the defect
-    products, overlap = np.empty((WINDOW, WINDOW)), np.empty(WINDOW)
+    products, overlap = np.empty((WINDOW, WINDOW)), np.zeros(WINDOW)  # with one another, and with the defect
     best, lowest, last, before = Split(state, np.inf, 0), np.inf, 0, None
     for k in range(ITERATIONS):
         if not np.linalg.norm(state) < LOST * unit:

@@ -29,7 +29,7 @@ def pose(name: str, closure: str = "dashpot") -> ContactProblem:
 
 @pytest.mark.parametrize("name", RUBBING)
 def test_each_look_is_closer_to_the_neighbours_solution(name, large):
-    """Closer than the share of the change that an estimate may be off by."""
+    """Closer than the share of the change that an estimate may be off by, down to what a splitting's samples leave."""
     solution = solve(pose(name))
     ahead = raise_harmonics(solution.problem)
     truth = solve(ahead, start=solution, tolerance=1e-11)
@@ -38,7 +38,7 @@ def test_each_look_is_closer_to_the_neighbours_solution(name, large):
     looks = list(islice(approach(solution, ahead, accuracy), 2))
     assert [look.reason for look in looks] == ["operator splitting"] * 2
     first, second = (measure_distance(look, truth) for look in looks)
-    assert first < 0.3 * change and second < 0.1 * change
+    assert first < 0.3 * change and second < max(first, 0.05 * change)
 
 
 def test_a_splitting_that_does_not_settle_leaves_it_to_newton(large, monkeypatch):
@@ -50,6 +50,22 @@ def test_a_splitting_that_does_not_settle_leaves_it_to_newton(large, monkeypatch
     step = take_step(solution, ahead)
     np.testing.assert_array_equal(looks[0].forces, step.forces)
     np.testing.assert_array_equal(looks[1].forces, take_step(step, step.problem).forces)
+
+
+def test_newton_goes_on_from_where_a_splitting_stalls(large, monkeypatch):
+    """It began again from the solution with fewer harmonics, further off than the splitting had come."""
+    settle, settled = looking_ahead.settle, []
+
+    def stall(parts, state, tolerance):
+        found = settle(parts, state, tolerance)
+        settled.append(found)
+        return found if len(settled) <= 2 else found._replace(defect=np.inf)  # what the first defect is; the first look
+
+    solution = solve(pose("lift-off"))
+    monkeypatch.setattr(looking_ahead, "settle", stall)
+    first, second = islice(approach(solution, raise_harmonics(solution.problem), 1e-3), 2)
+    assert (first.reason, second.reason) == ("operator splitting", "one Newton step")
+    np.testing.assert_array_equal(second.forces, take_step(first, first.problem).forces)
 
 
 def test_a_splitting_that_has_no_answer_leaves_it_to_newton(large, monkeypatch):
@@ -81,7 +97,12 @@ def test_both_ways_estimate_the_same_error(monkeypatch):
     by_steps = estimate_together(solution, 1.0, moved=np.inf)
     monkeypatch.setattr(looking_ahead, "DEAR", 1)
     monkeypatch.setattr(splitting, "WORTHWHILE", 1)
+    settled, original = [], looking_ahead._settle
+    monkeypatch.setattr(
+        looking_ahead, "_settle", lambda *given: (settled.append(look) or look for look in original(*given))
+    )
     by_splitting = estimate_together(solution, by_steps)
+    assert len(settled) == 2
     assert by_splitting == pytest.approx(by_steps, rel=1 / 3)
 
 
