@@ -33,7 +33,7 @@ MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looke
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
 # Unknowns that no elimination takes out, from which on Newton steps are dear. Defect at which a splitting is looked at
 # first, over the accuracy and over the first defect, whichever is less; and how many times less it is at the next look.
-DEAR, SETTLED, SETTLED_SHARE, FURTHER = 1000, 0.01, 0.1, 3.0
+LARGE, SETTLED, SETTLED_SHARE, FURTHER = 1000, 0.01, 0.1, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class _Neighbour:
 def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: float) -> Iterator[PeriodicSolution]:
     """Approximations of a neighbouring problem's solution, one begun where the last ended, until a step has no answer.
 
-    A splitting takes samples of its own, as many as all harmonics need.
+    A splitting takes samples of its own, half as many as the problem at least.
 
     Args:
         solution: Converged, or nearly.
@@ -84,8 +84,8 @@ def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: floa
         accuracy: Relative error that matters.
     """
     near = _Neighbour.of(solution, problem)
-    if _can_settle(near):
-        for ahead in _settle(near, accuracy):
+    if _can_split_towards(near):
+        for ahead in _split_towards(near, accuracy):
             yield ahead
             near = _Neighbour.of(ahead, ahead.problem)
     while (ahead := _take_step(near)) is not None:
@@ -93,16 +93,16 @@ def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: floa
         near = _Neighbour.of(ahead, ahead.problem)
 
 
-def _can_settle(near: _Neighbour) -> bool:
+def _can_split_towards(near: _Neighbour) -> bool:
     """Whether a splitting ends at the neighbour's solution, not near it only, and in less time than Newton steps."""
     ends_there = can_split(near.balance) and all(law.impedance is not None for law in near.balance.system.laws)
-    return ends_there and near.step.unknowns_left >= DEAR
+    return ends_there and near.step.unknowns_left >= LARGE
 
 
-def _settle(near: _Neighbour, accuracy: float) -> Iterator[PeriodicSolution]:
+def _split_towards(near: _Neighbour, accuracy: float) -> Iterator[PeriodicSolution]:
     """Where a splitting from the solution's state comes to, with ever smaller defects; ends where it stalls."""
     try:
-        splitting = Splitting(near.balance)
+        splitting = Splitting(near.balance, near.problem.basis.samples // 2)
         state = splitting.join(near.forces, near.motion)
         goal = min(SETTLED * accuracy, SETTLED_SHARE * settle(splitting, state, np.inf).defect)
         while (found := settle(splitting, state, goal)).defect <= goal:

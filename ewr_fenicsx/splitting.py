@@ -67,6 +67,7 @@ class Splitting:
 
     Args:
         balance: A balance all of whose laws are projections.
+        samples: A period, at least.
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
@@ -76,10 +77,10 @@ class Splitting:
         numpy.linalg.LinAlgError: The structure has no answer.
     """
 
-    def __init__(self, balance: HarmonicBalance):
+    def __init__(self, balance: HarmonicBalance, samples: int = FEWEST_SAMPLES):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
-        samples = max(FEWEST_SAMPLES, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
+        samples = max(samples, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
         self.basis = FourierBasis(orders, samples)
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
         self.scale, self.ratio = np.ones((2, balance.rows))

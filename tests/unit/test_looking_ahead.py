@@ -18,8 +18,8 @@ RUBBING = ("floating, slip", "lift-off", "prescribed", "plane, floating")
 
 @pytest.fixture
 def large(monkeypatch):
-    """Every joint counts as one whose Newton steps are dear."""
-    monkeypatch.setattr(looking_ahead, "DEAR", 1)
+    """Every joint counts as large."""
+    monkeypatch.setattr(looking_ahead, "LARGE", 1)
     monkeypatch.setattr(splitting, "WORTHWHILE", 1)
 
 
@@ -50,6 +50,15 @@ def test_a_splitting_that_does_not_settle_leaves_it_to_newton(large, monkeypatch
     step = take_step(solution, ahead)
     np.testing.assert_array_equal(looks[0].forces, step.forces)
     np.testing.assert_array_equal(looks[1].forces, take_step(step, step.problem).forces)
+
+
+def test_a_splitting_takes_more_samples_where_the_problem_does(large):
+    """Or it would not see what too few of them leave."""
+    solution = solve(replace(pose("lift-off"), samples=24))
+    ahead = replace(raise_harmonics(solution.problem), samples=1024)
+    look, truth = next(approach(solution, ahead, 1e-4)), solve(ahead)
+    assert look.reason == "operator splitting"
+    assert measure_distance(look, truth) < 0.05 * measure_distance(solution, truth)
 
 
 def test_newton_goes_on_from_where_a_splitting_stalls(large, monkeypatch):
@@ -95,11 +104,11 @@ def test_both_ways_estimate_the_same_error(monkeypatch):
     """Within a third: they differ in how far they get."""
     solution = solve(pose("lift-off"))
     by_steps = estimate_together(solution, 1.0, moved=np.inf)
-    monkeypatch.setattr(looking_ahead, "DEAR", 1)
+    monkeypatch.setattr(looking_ahead, "LARGE", 1)
     monkeypatch.setattr(splitting, "WORTHWHILE", 1)
-    settled, original = [], looking_ahead._settle
+    settled, original = [], looking_ahead._split_towards
     monkeypatch.setattr(
-        looking_ahead, "_settle", lambda *given: (settled.append(look) or look for look in original(*given))
+        looking_ahead, "_split_towards", lambda *given: (settled.append(look) or look for look in original(*given))
     )
     by_splitting = estimate_together(solution, by_steps)
     assert len(settled) == 2
