@@ -58,7 +58,7 @@ def test_a_splitting_takes_more_samples_where_the_problem_does(large):
     ahead = replace(raise_harmonics(solution.problem), samples=1024)
     look, truth = next(approach(solution, ahead, 1e-4)), solve(ahead)
     assert look.reason == "operator splitting"
-    assert measure_distance(look, truth) < 0.05 * measure_distance(solution, truth)
+    assert measure_distance(look, truth) < 0.01 * measure_distance(solution, truth)  # with 64 samples 0.07
 
 
 def test_newton_goes_on_from_where_a_splitting_stalls(large, monkeypatch):
