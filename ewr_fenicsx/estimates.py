@@ -143,11 +143,7 @@ def step_towards(solution: PeriodicSolution, problem: ContactProblem, figure: Fi
     Returns:
         Infinity where the step cannot be solved for.
     """
-    return measure_step(solution, take_step(solution, problem), figure)
-
-
-def measure_step(solution: PeriodicSolution, moved: PeriodicSolution | None, figure: Figure | None = None) -> float:
-    """How far ``take_step`` moved the outputs of a solution, and a figure, relative; infinity where it could not."""
+    moved = take_step(solution, problem)
     return np.inf if moved is None else measure_distance(moved, solution, figure)
 
 

@@ -59,6 +59,16 @@ class _Neighbour:
         """The laws linearised at the solution's own motion, which another compliance would change."""
         return self.balance.linearise(self.balance.pack(self.forces, self.rigid), self.motion)
 
+    def take_step(self) -> PeriodicSolution | None:
+        """After one Newton step; None where it cannot be solved for."""
+        unknowns = self.balance.pack(self.forces, self.rigid)
+        if self.balance.size:
+            try:
+                unknowns = unknowns - solve_inexactly(self.balance, self.step)
+            except np.linalg.LinAlgError:
+                return None
+        return self.adopt(unknowns, "one Newton step")
+
     def adopt(self, unknowns: RealArray, reason: str) -> PeriodicSolution:
         """What was found, as a solution that has not converged."""
         forces, rigid = self.balance.unpack(unknowns)
@@ -88,7 +98,7 @@ def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: floa
         for ahead in _split_towards(near, accuracy):
             yield ahead
             near = _Neighbour.of(ahead, ahead.problem)
-    while (ahead := _take_step(near)) is not None:
+    while (ahead := near.take_step()) is not None:
         yield ahead
         near = _Neighbour.of(ahead, ahead.problem)
 
@@ -118,18 +128,7 @@ def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSo
     Args:
         solution, problem: As in ``approach``.
     """
-    return _take_step(_Neighbour.of(solution, problem))
-
-
-def _take_step(near: _Neighbour) -> PeriodicSolution | None:
-    balance = near.balance
-    unknowns = balance.pack(near.forces, near.rigid)
-    if balance.size:
-        try:
-            unknowns = unknowns - solve_inexactly(balance, near.step)
-        except np.linalg.LinAlgError:
-            return None
-    return near.adopt(unknowns, "one Newton step")
+    return _Neighbour.of(solution, problem).take_step()
 
 
 def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:

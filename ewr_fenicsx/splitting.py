@@ -37,7 +37,7 @@ from ewr_fenicsx.law_kinds import Law
 # Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
 # as pairs that slip move each other. A few times either way cost some iterations.
 SCALE = {"displacement": 3.0, "velocity": 1.0}
-SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, and at least; powers of two, as are the samples of a balance
+SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as in a balance; and at least
 WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
 ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
@@ -67,7 +67,7 @@ class Splitting:
 
     Args:
         balance: A balance all of whose laws are projections.
-        samples: A period, at least.
+        samples: A period, at least; more where the harmonics need them.
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
@@ -77,11 +77,11 @@ class Splitting:
         numpy.linalg.LinAlgError: The structure has no answer.
     """
 
-    def __init__(self, balance: HarmonicBalance, samples: int = FEWEST_SAMPLES):
+    def __init__(self, balance: HarmonicBalance, samples: int = 0):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
-        samples = max(samples, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
-        self.basis = FourierBasis(orders, samples)
+        needed = max(FEWEST_SAMPLES, samples, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
+        self.basis = FourierBasis(orders, needed)
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
         self.scale, self.ratio = np.ones((2, balance.rows))
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
@@ -228,18 +228,17 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
             lowest, last = size, k
         if not size > tolerance or k - last > PATIENCE:
             break
-        after = state + defect
+        state = after = state + defect
         if before is not None:
             i, known = (k - 1) % WINDOW, min(k, WINDOW)
             np.subtract(defect, before[1], out=changes[i].reshape(defect.shape))
             np.subtract(after, before[0], out=advances[i].reshape(after.shape))
-            products[i, :known] = products[:known, i] = changes[:known] @ changes[i].ravel()
+            products[i, :known] = products[:known, i] = changes[:known] @ changes[i]
             overlap[:known] += products[i, :known]
             overlap[i] = changes[i] @ defect.ravel()
             normal = products[:known, :known]
             normal = normal + ROUNDING * np.trace(normal) * np.eye(known)
             shares = np.linalg.solve(normal, overlap[:known])
-            before, state = (after, defect), after - (shares @ advances[:known]).reshape(state.shape)
-        else:
-            before, state = (after, defect), after
+            state = after - (shares @ advances[:known]).reshape(after.shape)
+        before = after, defect
     return best._replace(iterations=k + 1)

@@ -1,0 +1,115 @@
+"""Factors of Newton's matrices: eliminated or dense, in single precision or double, new or of an earlier step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import PROBLEMS
+
+from ewr_fenicsx import ContactProblem, snes, solve
+from ewr_fenicsx.balance import HarmonicBalance
+
+
+def record_steps(problem: ContactProblem, **arguments) -> tuple:
+    """The solution, and the unknowns at which each Newton step was taken."""
+    visited = []
+    original = HarmonicBalance.linearise
+
+    def spy(self, unknowns):
+        visited.append(unknowns.copy())
+        return original(self, unknowns)
+
+    HarmonicBalance.linearise = spy
+    try:
+        return solve(problem, tolerance=1e-10, **arguments), visited
+    finally:
+        HarmonicBalance.linearise = original
+
+
+@pytest.mark.parametrize("factors", ["double", "single", "reused"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_both_linear_solvers_take_the_same_steps(name, factors, monkeypatch):
+    """With double factors at each step, or single ones refined; those of earlier steps leave them a few digits less."""
+    if factors != "double":
+        monkeypatch.setattr(snes, "REFINE_FROM", 1)
+    if factors == "single":  # those of earlier steps serve only where they do as well
+        monkeypatch.setattr(snes, "FAR_TOLERANCE", snes.ROUGH_TOLERANCE)
+        monkeypatch.setattr(snes, "CLOSE_TOLERANCE", snes.ROUGH_TOLERANCE)
+    first, eliminated = record_steps(PROBLEMS[name], linear_solver="elimination")
+    second, dense = record_steps(PROBLEMS[name], linear_solver="dense")
+    assert first.iterations == second.iterations
+    assert len(eliminated) == len(dense) and (len(dense) > 1 or name == "stuck")
+    bound = 1e-5 if factors == "reused" else 1e-8
+    for a, b in zip(eliminated, dense, strict=True):
+        np.testing.assert_allclose(a, b, atol=bound * np.abs(b).max())
+    np.testing.assert_allclose(first.forces, second.forces, atol=1e-9 * np.abs(second.forces).max())
+
+
+def test_factors_in_single_precision_are_refined_or_made_again(monkeypatch):
+    """GMRES on them finds the step to ten digits; where it does not, double ones are made."""
+    made = []
+    original = snes.Factorisation
+
+    def record(step, right_side, shift, precision):
+        made.append(precision)
+        return original(step, right_side, shift, precision)
+
+    problem = replace(PROBLEMS["floating, slip"], harmonics=15)
+    monkeypatch.setattr(snes, "Factorisation", record)
+    double = solve(problem, tolerance=1e-11)
+    assert set(made) == {np.float64}
+    monkeypatch.setattr(snes, "REFINE_FROM", 1)
+    made.clear()
+    single = solve(problem, tolerance=1e-11)
+    assert set(made) == {np.float32}
+    np.testing.assert_allclose(single.forces, double.forces, atol=1e-9 * np.abs(double.forces).max())
+    monkeypatch.setattr(snes, "REFINEMENTS", 1)  # too few for ten digits
+    made.clear()
+    again = solve(problem, tolerance=1e-11)
+    assert again.converged and 1 <= made.count(np.float32) <= 2  # once a run: of the firm balance, of the balance
+    assert set(made[-2:]) == {np.float64}
+    np.testing.assert_allclose(again.forces, double.forces, atol=1e-9 * np.abs(double.forces).max())
+
+
+@pytest.mark.parametrize("frequency", [450.0, 481.0, 520.0])
+def test_factors_of_earlier_steps_serve_later_ones(frequency, monkeypatch):
+    """The same solution to the tolerance, with fewer factorisations than steps."""
+    made = []
+    original = snes.Factorisation
+
+    def count(*arguments):
+        made.append(arguments)
+        return original(*arguments)
+
+    problem = replace(PROBLEMS["floating, slip"], frequency=frequency, harmonics=15)
+    monkeypatch.setattr(snes, "Factorisation", count)
+    monkeypatch.setattr(snes, "REFINE_FROM", 10**9)
+    anew = solve(problem, tolerance=1e-11)
+    assert len(made) == anew.iterations > 3
+    made.clear()
+    monkeypatch.setattr(snes, "REFINE_FROM", 1)
+    again = solve(problem, tolerance=1e-11)
+    assert len(made) < again.iterations <= anew.iterations + 5
+    np.testing.assert_allclose(again.forces, anew.forces, atol=1e-9 * np.abs(anew.forces).max())
+
+
+def test_no_run_ends_for_a_step_that_old_factors_gave(monkeypatch):
+    """Where no length of it makes the residual fall, the step is taken again with new ones."""
+    problem, original = PROBLEMS["floating, slip"], snes.refine
+    monkeypatch.setattr(snes, "REFINE_FROM", 10**9)
+    exact = solve(problem)
+    monkeypatch.setattr(snes, "REFINE_FROM", 1)
+    useless = []
+
+    def refine(ksp, right_side, x, tolerance, *, old):
+        if not old:
+            return original(ksp, right_side, x, tolerance, old=old)
+        useless.append(tolerance)
+        x.set(0.0)
+        return True
+
+    monkeypatch.setattr(snes, "refine", refine)
+    found = solve(problem)
+    assert len(useless) > 1 and found.converged and found.iterations == exact.iterations and found.fallbacks == ()
