@@ -31,7 +31,10 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
         omega: Angular frequency of the first harmonic [rad/s].
         highest: Highest harmonic that is kept.
     """
-    beyond = np.abs(measure_beyond(model, rows, omega, list_beyond(highest))).mean(axis=0)
+    try:
+        beyond = average(np.abs(measure_beyond(model, rows, omega, list_beyond(highest))))
+    except ModelError:  # one hits an undamped mode exactly
+        return np.zeros(len(rows))
     return np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0)
 
 
@@ -71,6 +74,11 @@ def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: S
     if modes is None:
         return np.array([np.diagonal(receptance(model, h * omega, rows, rows.T)) for h in orders])
     return modes.gain(np.asarray(orders) * omega) @ (rows @ modes.shapes).T ** 2
+
+
+def average(sizes: RealArray) -> RealArray:
+    """Geometric mean over harmonics, ``(n_h, m)``, so that one which hits a resonance does not decide."""
+    return np.exp(np.log(sizes).mean(axis=0))
 
 
 def list_beyond(highest: int) -> tuple[int, ...]:

@@ -1,8 +1,4 @@
-"""A contact problem: a reduced model, the laws at its pairs, a frequency and the harmonics kept.
-
-``ContactProblem`` is what the user states; ``compose`` turns it into a ``ContactSystem``: only the rows, laws and
-unknowns that the statement calls for. Bonded pairs are projected out of the model, prescribed forces are loads.
-"""
+"""A contact problem as a user states it: a reduced model, laws at its pairs, a frequency and the harmonics kept."""
 
 from __future__ import annotations
 
@@ -15,21 +11,17 @@ from typing import get_args
 
 import numpy as np
 
-from ewr_fenicsx.closure import Closure, find_masses, find_springs
-from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
+from ewr_fenicsx.closure import Closure
+from ewr_fenicsx.compliance import GeneralisedInverse
+from ewr_fenicsx.composition import compose
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
-from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
-from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
+from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.reduced_model import ReducedModel, check_loads
-from ewr_fenicsx.statics import find_holding
 
-# rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
-DEFAULT_NORMAL_WEIGHT = 10.0
-DEFAULT_TANGENTIAL_WEIGHT = 1.0
 LOWEST_FREQUENCY, HIGHEST_FREQUENCY = 1e-100, 1e100  # [Hz] powers of them must stay numbers
 
 
@@ -231,136 +223,3 @@ def check_problem(problem: ContactProblem) -> None:
     """
     if not isinstance(problem, ContactProblem):
         raise ModelError(f"problem = {shorten(problem)}; give ContactProblem(model, laws, frequency)")
-
-
-def compose(problem: ContactProblem) -> ContactSystem:
-    """Build the system of a problem.
-
-    Raises:
-        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, or a given normal force
-            at harmonics that the problem does without.
-        UnheldBody: Contact cannot hold a floating body under its mean load.
-    """
-    model, basis = problem.model, problem.basis
-    layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    check_given_force(problem)
-    load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
-    flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
-    compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
-    rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
-    return ContactSystem(
-        layout=layout,
-        load=load,
-        prescribed=problem.given_force,
-        laws=tuple(
-            law
-            for pairs, laws in problem.groups
-            for law in build_laws(problem, pairs, laws, layout, flexibility, rubs_to_hold)
-        ),
-        flexibility=flexibility,
-        basis=basis,
-        compliance=compliance,
-    )
-
-
-def check_given_force(problem: ContactProblem) -> None:
-    """Refuses harmonics of given normal forces that the problem does without.
-
-    A force that does not act on the model is but a limit of friction, which is seen at the samples.
-
-    Raises:
-        ModelError: A harmonic is not kept, or too high for the samples.
-    """
-    basis, moves = problem.basis, problem.model.normal is not None
-    for h in (h for h, amplitude in problem.given_force.items() if np.any(amplitude)):
-        if h not in basis.orders and (moves or not problem.frequency):
-            remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
-            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
-        if 2 * h >= basis.samples and h:
-            raise ModelError(
-                f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
-                f"from a lower one; give at least {2 * h + 1}"
-            )
-
-
-def build_laws(
-    problem: ContactProblem,
-    pairs: np.ndarray,
-    laws: ContactLaws,
-    layout: Layout,
-    flexibility: RealArray,
-    rubs_to_hold: bool,
-) -> list[Law]:
-    """Law objects of one group of pairs."""
-    rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
-    own = {direction: flexibility[at] for direction, at in rows.items()}
-    weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
-    masses = {d: choose_closing_mass(problem, pairs, layout, d, rubs_to_hold) for d in rows if d != "normal"}
-    closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
-    clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
-    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
-    return laws.build(group)
-
-
-def choose_weight(problem: ContactProblem, direction: str, pairs: np.ndarray, flexibility: RealArray) -> RealArray:
-    """``(K,)`` weight of some pairs' rows in a direction: the user's, or by each row's ``flexibility`` [m/N]."""
-    given = problem.rho_normal if direction == "normal" else problem.rho_tangential
-    if given is not None:
-        return pick_pairs(given, pairs, problem.model.pairs)
-    if direction == "normal":
-        return DEFAULT_NORMAL_WEIGHT / flexibility
-    return DEFAULT_TANGENTIAL_WEIGHT * (problem.omega or 1.0) * flexibility
-
-
-def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:
-    """``(K,)`` values of some pairs, in their order, of a problem's scalar or ``(K_c,)``."""
-    return spread_over_pairs(value, np.arange(total), total)[pairs]
-
-
-def choose_closing(
-    problem: ContactProblem, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray
-) -> RealArray:
-    """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
-    if not isinstance(problem.closure, str):
-        return pick_pairs(problem.closure, pairs, problem.model.pairs)
-    highest = problem.basis.orders[-1]
-    if not problem.has_springs or not highest:
-        return np.zeros(pairs.size)
-    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
-
-
-def choose_closing_mass(
-    problem: ContactProblem, pairs: np.ndarray, layout: Layout, direction: str, rubs_to_hold: bool
-) -> RealArray:
-    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
-
-    None where bodies hang on friction: dashpots tell whether these walk.
-    """
-    highest, at = problem.basis.orders[-1], layout.index[direction]
-    masses = np.zeros(at.size)
-    if problem.has_masses and highest and not rubs_to_hold:
-        odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
-        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, odd)
-    return masses[pairs]
-
-
-def find_friction_that_holds(problem: ContactProblem, layout: Layout, compliance: DynamicCompliance) -> bool:
-    """Whether floating bodies hang on friction.
-
-    Raises:
-        UnheldBody: Nothing holds a body, or only the mean friction that ``static_friction = "zero"`` leaves out.
-    """
-    if compliance.rigid_load.size == 0:
-        return False
-    K, r = problem.model.pairs, compliance.rigid_load.size
-    motion = np.zeros((1 + max(1, problem.model.tangents), K, r))
-    for seen, direction in zip(motion, DIRECTIONS, strict=False):
-        rows = layout.row_of(direction, np.arange(K))
-        seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
-    smallest, largest, friction, rubs = np.zeros((4, K))
-    for pairs, laws in problem.groups:
-        normal, tangential = (k.bound_mean(lambda v, p=pairs: spread_over_pairs(v, p, K)) for k in laws.kinds)
-        smallest[pairs], largest[pairs] = normal.smallest, normal.largest
-        friction[pairs] = tangential.friction
-        rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    return find_holding(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs) == "friction"

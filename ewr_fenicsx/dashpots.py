@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ewr_fenicsx.closure import list_beyond, measure_beyond
-from ewr_fenicsx.contact_problem import ContactProblem, choose_weight
+from ewr_fenicsx.closure import average, list_beyond, measure_beyond
+from ewr_fenicsx.composition import choose_weight
+from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.given import RealArray
 
 
@@ -42,7 +43,7 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
             if len(along) == 2:
                 between = (measure(along[0] + along[1]) - own[0] - own[1]) / 2
                 size = np.hypot(size, np.sqrt(2) * np.abs(between))
-            weight[law.pairs] = np.exp(np.log(rate * size / np.sqrt(len(along))).mean(axis=0))
+            weight[law.pairs] = average(rate * size / np.sqrt(len(along)))
     return weight
 
 

@@ -11,7 +11,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.bonded import Bond
-from ewr_fenicsx.contact_problem import compose
+from ewr_fenicsx.composition import compose
 from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import spread_over_pairs

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ladder, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.harmonics import select_basis
 from ewr_fenicsx.inertial_coulomb import InertialCoulomb
@@ -96,6 +97,23 @@ def test_springs_are_for_pairs_that_bend():
     np.testing.assert_array_equal(dashed.pairs, [1, 3, 4])
     np.testing.assert_array_equal(sprung.pairs, [0, 2, 5])
     np.testing.assert_array_equal(sprung.flexibility, [1e-9, 2e-9, 1e-9])
+
+
+def test_a_resonance_beyond_the_harmonics_decides_no_spring():
+    """A node of next to no mass on a light chain; one of the harmonics left out may meet a mode, damped or not."""
+    K = np.diag([3.0, 2.0, 2.0, 1.0]) - np.diag(np.ones(3), 1) - np.diag(np.ones(3), -1)
+    M = np.diag([1.0, 1e-4, 1.0, 1.0])
+    rub = ContactLaws("prescribed", normal_force=0.3, friction=1.0)
+    mode = np.sqrt(scipy.linalg.eigh(K, M, eigvals_only=True)[1])
+    chosen = {}
+    for damping in (0.0, 2e-4):
+        model = ReducedModel(M, damping * K, K, None, np.eye(4)[[1]], {1: np.eye(4)[3]})
+        for share in (1.0, 0.97, 1.03):
+            frequency = share * mode / (2 * np.pi) / 6  # one more than the highest harmonic kept
+            laws = ContactProblem(model, rub, frequency, 5, closure="spring").system.laws
+            chosen[damping, share] = [law.flexibility[0] for law in laws if isinstance(law, SprungCoulomb)]
+    at, *beside = (chosen[2e-4, share][0] for share in (1.0, 0.97, 1.03))
+    assert max(beside) < at < 20 * max(beside), chosen
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 ORDER = [
     "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing", "cone",
     "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb", "coulomb",
-    "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "contact_problem", "ignored",
+    "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "composition",
+    "contact_problem", "ignored",
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
     "periodicity", "time_integration", "symmetry", "continuation", "snes", "splitting", "ladder", "warm_starts",
