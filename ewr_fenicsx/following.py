@@ -147,7 +147,7 @@ class Follower:
                 f = min(target, here.problem.frequency + reach)
                 f = target if target - f < SMALLEST_STEP * target else f
                 found, surprise, change = self._step(f, here, before)
-                tiny = f - here.problem.frequency <= SMALLEST_STEP * f
+                tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
                 if surprise > LARGEST_SURPRISE and tiny:
                     traced = self._trace(here, before, target)
                     curve.extend(traced)
@@ -179,7 +179,7 @@ class Follower:
                 gone = here.problem.frequency - f
                 found, surprise, change = self._step(f, here, None)
                 if surprise > LARGEST_SURPRISE or (self.refine and change > self.refine):
-                    if gone <= SMALLEST_STEP * f:
+                    if gone <= 2 * SMALLEST_STEP * f:
                         return points
                     reach = 0.5 * gone
                     continue
@@ -250,6 +250,7 @@ class Follower:
             step=first,
             smallest_step=1e-7,
             largest_step=0.1,
+            tolerance=self.tolerance,
             before=last,
             stray=stray,
         )
@@ -280,5 +281,5 @@ class Follower:
     ) -> PeriodicSolution:
         balance = balance_at(point.parameter)
         residual = float(np.linalg.norm(balance.residual(point.unknowns)))
-        attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", True)
+        attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", residual <= self.tolerance)
         return wrap(self._pose(point.parameter, here), balance, [attempt], (), 0.0)

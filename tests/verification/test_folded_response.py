@@ -18,13 +18,13 @@ from ewr_fenicsx.continuation import BranchPoint, retraces
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
 LAWS = ContactLaws(tangential="frictionless", initial_gap=GAP)
 BISTABLE = 0.1685  # Hz
+FREQUENCIES = np.sort(np.append(np.linspace(0.12, 0.22, 21), BISTABLE))
 
 
 @pytest.fixture(scope="module")
 def curve():
     model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
-    frequencies = np.append(np.linspace(0.12, 0.22, 21), BISTABLE)
-    return frequency_response(model, LAWS, np.sort(frequencies), harmonics=9, progress=False)
+    return frequency_response(model, LAWS, FREQUENCIES, harmonics=9, progress=False)
 
 
 def integrate_in_time(frequency: float, start: tuple[float, float], periods: int = 150) -> np.ndarray:
@@ -122,6 +122,34 @@ def test_every_point_of_the_curve_solves_its_problem(curve):
     for s in curve.solutions:
         balance = HarmonicBalance(s.problem.system)
         assert np.linalg.norm(balance.residual(balance.pack(s.forces, s.rigid))) < 1e-7
+
+
+def test_points_round_a_fold_meet_the_tolerance_asked_for(curve):
+    """What is traced by arc length as well as what is solved by itself."""
+    model = curve.solutions[0].problem.model
+    strict = frequency_response(model, LAWS, FREQUENCIES, harmonics=9, progress=False, tolerance=1e-11)
+    traced = [s for s in strict.solutions if "arc length" in s.reason]
+    assert len(traced) > 3
+    assert all(s.converged and s.residual <= 1e-11 for s in strict.solutions)
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.5, 2.5, 1000.0])
+def test_a_target_that_no_step_reaches_is_left_after_a_few_tries(curve, distance, monkeypatch):
+    """However close: half a step that is drawn to the target is the whole step again."""
+    here, tries = curve.solutions[0], []
+
+    def fail(self, frequency, *_):
+        tries.append(frequency)
+        assert len(tries) < 50
+        return None, np.inf, np.inf
+
+    monkeypatch.setattr(following.Follower, "_step", fail)
+    monkeypatch.setattr(following.Follower, "_trace", lambda *_: following.Curve())
+    away = distance * following.SMALLEST_STEP * here.problem.frequency
+    follower = following.Follower(lambda f: here.problem, 0.1, 0.2)
+    assert not follower.follow([here], [here.problem.frequency + away]).points
+    assert not follower.descend(here, [here.problem.frequency - away])
+    assert len(tries) >= 2
 
 
 def test_the_lower_fold_is_where_the_stop_is_grazed(curve):
