@@ -18,6 +18,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
 from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump, compare_states
+from ewr_fenicsx.newton import adopt_weights, solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import Record, restore, strip
@@ -48,12 +49,12 @@ def refine_points(
         progress: Whether rank 0 shows how far it is.
 
     Returns:
-        A solution a point. One without a solution of more harmonics stays as it was, and says so in its ``limit``.
+        A solution a point. One without a solution of more harmonics keeps its own, and says so in its ``limit``.
     """
     groups = [points[i : i + GROUP] for i in range(0, len(points), GROUP)]
 
     def work(group: Sequence[PeriodicSolution]) -> list[tuple[Record, AccurateSolution]]:
-        done, first = [], group[0].orders[-1]
+        done, first = [], group[0].orders[-1] or FIRST_ORDER
         for point in group:
             posed = replace(problem, frequency=point.problem.frequency)
             found = refine_point(posed, point, accuracy, tolerance, first, modes)
@@ -79,12 +80,15 @@ def refine_point(
     first: int,
     modes: Sequence[int] = (),
 ) -> AccurateSolution:
-    """A solution as accurate as asked, from a point of the curve; where none is found, that point and why."""
+    """A solution as accurate as asked, from a point of the curve; where none is found, with its harmonics, and why."""
     try:
         return solve_to_accuracy(problem, accuracy, point, tolerance, first=first, modes=modes)
     except NotConverged as error:
-        why = f"no solution found with harmonics up to {first}: {error.best.reason}"
-        return AccurateSolution(point, estimate_errors(point), accuracy, False, why, (), 0.0)
+        why = f"no solution found with harmonics up to {error.best.orders[-1]}: {error.best.reason}"
+    stated = adopt_weights(problem, point.problem)  # its model may have other modes than the point's
+    stated = replace(stated, harmonics=point.problem.harmonics, samples=point.problem.samples)
+    kept = solve(stated, point, tolerance, fallbacks=False, raise_on_failure=False)
+    return AccurateSolution(kept, estimate_errors(kept), accuracy, False, why, (), kept.seconds)
 
 
 def begin_next(found: AccurateSolution, first: int) -> int:

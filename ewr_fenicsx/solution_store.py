@@ -22,7 +22,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 _NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
 _WEIGHTS = ("rho_normal", "rho_tangential", "closure")
 _CHOSEN = ("harmonics", "samples", *_WEIGHTS)  # solution by solution: by an accuracy, or in a fallback
-_TEXTS = ("reason", "fallbacks", *_CHOSEN)
+_TEXTS = ("reason", "fallbacks", "left_out", "why_left_out", *_CHOSEN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,8 @@ class Record:
     residual: float
     seconds: float
     unknowns: int
+    left_out: tuple[int, ...]
+    why_left_out: str
 
 
 def strip(solution: PeriodicSolution) -> Record:
@@ -137,6 +139,8 @@ def read_records(group: h5py.Group) -> list[Record]:
             residual=float(arrays["residual"][i]),
             seconds=float(arrays["seconds"][i]),
             unknowns=int(arrays["unknowns"][i]),
+            left_out=tuple(texts["left_out"][i]),
+            why_left_out=texts["why_left_out"][i],
         )
         for i in range(len(arrays["frequency"]))
     ]

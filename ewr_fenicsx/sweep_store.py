@@ -12,7 +12,7 @@ from ewr_fenicsx.following import Jump
 from ewr_fenicsx.solution_store import Record, read_records, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
 
-FORMAT = "ewr_fenicsx frequency response, 4"
+FORMAT = "ewr_fenicsx frequency response, 5"
 FILES = "blocks/*.h5"  # of all blocks, in the folder of their sweep
 
 

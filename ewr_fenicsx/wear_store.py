@@ -15,7 +15,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import read_records, restore, strip, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
 
-_FORMAT = "ewr_fenicsx wear, 4"
+_FORMAT = "ewr_fenicsx wear, 5"
 
 
 @dataclass(frozen=True, eq=False)

@@ -261,6 +261,30 @@ def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch)
     assert [found.estimate.total for found in curve.accurate] == [estimate_errors(s).total for s in coarse.solutions]
 
 
+def test_a_point_without_a_more_accurate_solution_is_solved_on_a_model_with_more_modes(monkeypatch):
+    """Its forces are not a solution there, though they were one before."""
+
+    def fail(problem, *_, **__):
+        raise NotConverged("lost", best=solve(problem))
+
+    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
+    curve = sweep()
+    model = curve.solutions[0].problem.model
+    stiffer = replace(model, stiffness=1.1 * model.stiffness)
+    problem = ContactProblem(stiffer, LAWS, FREQUENCIES[0], 5)
+    for found in refining.refine_points(problem, curve.solutions, 0.02):
+        balance = HarmonicBalance(found.solution.problem.system)
+        left = np.linalg.norm(balance.residual(balance.pack(found.solution.forces, found.solution.rigid)))
+        assert found.solution.problem.model is stiffer and found.solution.converged and left < 1e-8
+        assert not found.reached and found.limit
+
+
+def test_an_accurate_curve_may_begin_with_the_mean_alone():
+    at_rest = replace(model := lift_off_oscillator(), load={0: model.load[0]})
+    curve = frequency_response(at_rest, LAWS, FREQUENCIES[:2], harmonics=0, accuracy=0.01, progress=False)
+    assert all(found.reached for found in curve.accurate)
+
+
 def test_an_accurate_curve_goes_round_its_folds():
     """With more harmonics the upper fold comes earlier: points that fall off there go, the rest is one curve."""
     model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
@@ -363,4 +387,6 @@ def test_harmonics_that_symmetry_makes_zero_cost_no_point_of_a_curve_anything():
     )
     assert {s.unknowns for s in short.solutions} == {6} and {s.unknowns for s in listed.solutions} == {11}
     assert {s.left_out for s in short.solutions} == {(0, 2, 4)}
+    (accurate,) = frequency_response(model, laws, [0.12], accuracy=0.05, progress=False).solutions
+    assert accurate.left_out == tuple(h for h in accurate.orders if h % 2 == 0) and accurate.why_left_out
     np.testing.assert_allclose(short.output("tip"), listed.output("tip"), rtol=1e-7, atol=1e-12)

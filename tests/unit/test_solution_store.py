@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from small_models import dovetail
+from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.law_kinds import load_laws
@@ -25,6 +26,14 @@ def test_records_bring_the_closure_back(closure):
     np.testing.assert_array_equal(
         back.history("admissible_friction_force"), solution.history("admissible_friction_force")
     )
+
+
+def test_records_know_which_harmonics_were_left_out():
+    laws = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+    solution = solve(ContactProblem(friction_oscillator(), laws, 0.12))
+    back = restore(solution.problem, strip(solution))
+    assert (back.left_out, back.why_left_out) == (solution.left_out, solution.why_left_out) == ((0, 2, 4), ANY)
+    assert back.why_left_out
 
 
 def test_fingerprints_tell_problems_apart():
