@@ -218,16 +218,15 @@ def _gather(
         if d.by_force:
             A[:, at, columns] += value
             continue
-        if d.blind_to_mean:  # but for a spring by the row's own motion: a law in a plane has derivatives by both
-            springs = balance.static_displacement_row[d.rows[pick]] * (d.rows[pick] == columns)
-            value[mean] = 0.0 if d.remembers else springs
+        if d.blind_to_mean:
+            value[mean] = 0.0
         A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
         A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
         toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
-    weight = balance.static_row[c]  # 1, or 0 where the mean force is set: there are no springs then
-    A[mean] *= weight[:, None]
-    toward_rigid[mean] *= weight[:, None]
-    A[mean[:, None], diagonal, c] += balance.static_force_row[c]
+    weight, springs = balance.static_row[c], balance.static_displacement_row[c]
+    A[mean] = weight[:, None] * A[mean] + springs[:, None] * H[mean][:, c]
+    A[mean[:, None], diagonal, c] += balance.static_force_row[c] + springs * REDUNDANCY * balance.system.flexibility[c]
+    toward_rigid[mean] = weight[:, None] * toward_rigid[mean] + springs[:, None] * balance.rigid_motion[c]
     if shift is not None:
         A[:, diagonal, c] += shift[batch][:, c]
     return A, toward_rigid

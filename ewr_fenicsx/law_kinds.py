@@ -104,6 +104,9 @@ class Law(Protocol):
             (``splitting.py``); "": it is none.
         impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none, and the start is
             less near.
+
+    A law with a weight from ``PairGroup.weight`` has it, ``(K,)``, in a field ``rho``, without a default here that
+    would get in the way of other fields: by it costs and errors are estimated, and weights far off are approached.
     """
 
     direction: str

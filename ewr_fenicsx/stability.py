@@ -99,7 +99,9 @@ def repeat(derivative: Derivative) -> Derivative:
 
 
 def find_sign(matrix: RealArray) -> int:
-    """Sign of a determinant; 0 where rounding decides it."""
+    """Sign of a determinant; 0 where rounding decides it, 1 of an empty matrix."""
+    if matrix.size == 0:
+        return 1
     lu, rows, _ = scipy.linalg.lapack.dgetrf(matrix)
     pivots = np.diagonal(lu)
     if np.abs(pivots).min() <= SINGULAR * np.abs(pivots).max():

@@ -267,12 +267,62 @@ def test_linear_laws_are_one_solve_and_no_snes():
     assert solution.merit["energy_error"] > 0.1 and solution.cautions == (), "its damper takes that, no truncation"
 
 
+@register_law("tangential", "mount")
+@dataclass(frozen=True, eq=False)
+class Mount(LawKind):
+    """A spring and a damper that see no mean, and a weak spring that does: linear."""
+
+    histories = ("friction_force",)
+    odd = True
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        return ("tangential",)
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        return (SeesNoMean(group.pairs),)
+
+
+@dataclass(frozen=True, eq=False)
+class SeesNoMean(Law):
+    pairs: np.ndarray
+    static_displacement_row: float = 0.03
+    direction: str = "tangential"
+    linear: bool = True
+
+    def evaluate(self, motion: Motion) -> Response:
+        away, rate = motion.oscillation["tangential"], motion.velocity["tangential"]
+        same = np.ones_like(away)
+        return Response(
+            motion.force["tangential"] + 0.7 * away + 0.3 * rate,
+            (
+                Partial("force", "tangential", same),
+                Partial("oscillation", "tangential", 0.7 * same),
+                Partial("velocity", "tangential", 0.3 * same),
+            ),
+        )
+
+
+def test_a_weak_spring_for_the_mean_counts_once_beside_several_derivatives():
+    """Against springs and dampers in the model's matrices, another one at the mean."""
+    model = replace(random_structure(size=8, pairs=3), load={0: np.ones(8), 1: np.arange(8) - 3j})
+    laws = ContactLaws("prescribed", "mount", normal_force=0.0)
+    solution = solve(ContactProblem(model, laws, 0.1, 2))
+    rows = model.tangential.T @ model.tangential
+    omega, (static, harmonic) = 0.2 * np.pi, (model.load[0], model.load[1])
+    mean = np.linalg.solve(model.stiffness + 0.03 * rows, static)
+    dynamic = model.stiffness + 0.7 * rows + 1j * omega * (model.damping + 0.3 * rows) - omega**2 * model.mass
+    first = np.linalg.solve(dynamic, harmonic)
+    expected = [model.outputs["tip"] @ x for x in (mean, first)]
+    np.testing.assert_allclose(solution.output("tip")[:2], expected, rtol=1e-10)
+
+
 def test_a_problem_without_an_unknown_left_creates_no_snes():
     """At rest, with the mean friction set to zero under a given force: rows, but nothing to find."""
     model = replace(random_structure(), load={0: np.ones(9)})
     laws = ContactLaws("prescribed", normal_force=1.0, static_friction="zero")
     with count_calls() as counts:
         solution = solve(ContactProblem(model, laws, 0.1, 3))
+    assert not solution.unstable and "0 unknowns" in solution.summary()
     assert not counts["SNES"] and solution.unknowns == 0 and solution.converged
     assert not np.any(solution.forces)
 
