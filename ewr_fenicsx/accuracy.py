@@ -29,6 +29,7 @@ from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.looking_ahead import choose_samples
 from ewr_fenicsx.newton import solve, use_default_weights
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.symmetry import leave_out_idle
 
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
@@ -169,7 +170,7 @@ def solve_to_accuracy(
     damped = -1  # set of harmonics that needs dashpots
     most = int(highest)
     while not limit:
-        posed = pose_level(problem, top, density, dropped, springs and top != damped)
+        posed = pose_level(problem, top, density, dropped, springs and top != damped, solution)
         chosen = posed.has_springs and not problem.has_springs
         try:
             if levels and len(modes) == levels[-1].modes:
@@ -259,12 +260,18 @@ def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
 
 
 def pose_level(
-    problem: ContactProblem, top: int, density: float, dropped: frozenset[int], springs: bool
+    problem: ContactProblem,
+    top: int,
+    density: float,
+    dropped: frozenset[int],
+    springs: bool,
+    start: PeriodicSolution | None,
 ) -> ContactProblem:
     """The problem with harmonics up to ``top`` but for those ``dropped``, samples, weights and closure to match."""
-    kept = tuple(h for h in range(top + 1) if h not in dropped)
-    chosen = top if len(kept) == top + 1 else kept  # a list would keep harmonics that are zero by symmetry
-    posed = replace(problem, harmonics=chosen, samples=choose_samples(top, density))
+    posed = replace(problem, harmonics=top, samples=choose_samples(top, density))
+    if dropped:  # a list keeps harmonics that are zero by symmetry
+        needed = leave_out_idle(posed, start).basis.orders
+        posed = replace(posed, harmonics=tuple(h for h in needed if h not in dropped))
     if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
         return posed
     if not springs:

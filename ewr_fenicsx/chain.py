@@ -142,16 +142,13 @@ def build_reduced_model(scene: Scene) -> ReducedModel:
     return build_chain(scene).reduction.model
 
 
-def pose_problem(
-    scene: Scene, model: ReducedModel, interface: Interface | None = None, frequency: float | None = None
-) -> ContactProblem:
+def pose_problem(scene: Scene, model: ReducedModel, interface: Interface | None = None) -> ContactProblem:
     """The contact problem that a scene poses on its reduced model.
 
     Args:
         scene: The scene.
         model: Its reduced model.
         interface: Its pairs; only a scene whose flanks have laws of their own needs it.
-        frequency: In place of the scene's, or of the first one of its sweep [Hz].
 
     Raises:
         ModelError: Laws, harmonics or samples do not fit together.
@@ -161,7 +158,7 @@ def pose_problem(
     harmonics = solver.harmonics
     if solver.accuracy is not None:  # where it begins is not decisive, but loads must have their harmonics
         harmonics = max(harmonics, *(load.harmonic for load in scene.loads.values()))
-    frequency = frequency or next(iter(scene.frequencies), 0.0)
+    frequency = next(iter(scene.frequencies), 0.0)
     return ContactProblem(
         model,
         lay_laws(scene, interface),

@@ -63,7 +63,7 @@ def start_cold(
     if split.converged or split.walks:
         return split
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance)
-    better = climbed if climbed.converged else min(climbed, split, key=lambda a: a.residual)
+    better = climbed if climbed.converged else min(climbed, split)
     return replace(better, iterations=split.iterations + climbed.iterations)
 
 
@@ -282,5 +282,5 @@ def follow(
 
 def _choose(failed: Attempt, attempt: Attempt, steps: int, how: str) -> Attempt:
     """A rung's attempt if it converged, else the better of both; with all Newton steps and how it went."""
-    better = attempt if attempt.converged else min(failed, attempt, key=lambda a: a.residual)
+    better = attempt if attempt.converged else min(failed, attempt)
     return replace(better, iterations=steps, reason=f"{how}: {attempt.reason}" if attempt.reason else how)

@@ -15,6 +15,8 @@ from ewr_fenicsx.elasticity import Structure, body_nodes, connect
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.interface import Interface
 
+LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -38,7 +40,6 @@ def solve_modes(
     count: int,
     *,
     shift: float = 0.0,
-    tolerance: float = 1e-9,
     known: Sequence[PETSc.Vec] = (),
 ) -> Modes:
     """The modes with eigenvalues nearest to a shift, by shift-invert Krylov-Schur.
@@ -48,11 +49,11 @@ def solve_modes(
         mass: Symmetric positive definite, sparse [kg].
         count: How many.
         shift: Eigenvalue [rad^2/s^2] near which to look; a singular stiffness needs one below zero.
-        tolerance: Largest accepted relative residual, unless rounding in ``K phi`` alone is larger.
         known: Modes that are not looked for again.
 
     Raises:
-        ModesError: Fewer modes than asked for, a residual above the tolerance, or a singular stiffness with no shift.
+        ModesError: Fewer modes than asked for, a residual above ``LARGEST_RESIDUAL``, or a singular stiffness with no
+            shift.
         MemoryError: The factors do not fit into memory.
     """
     size = stiffness.getSize()[0]
@@ -67,7 +68,7 @@ def solve_modes(
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     solver.setTarget(shift)
-    solver.setTolerances(1e-2 * tolerance, 300)
+    solver.setTolerances(1e-2 * LARGEST_RESIDUAL, 300)
     solver.setDimensions(count, min(size - len(known), max(2 * count, count + 20)))
     if known:
         solver.setDeflationSpace(list(known))
@@ -86,7 +87,7 @@ def solve_modes(
     if found < count:
         raise ModesError(
             f"{found} of {count} modes converged near sigma = {shift:g} rad^2/s^2 in {size} degrees of "
-            "freedom; ask for fewer or loosen the tolerance"
+            "freedom; ask for fewer"
         )
     values = np.array([solver.getEigenvalue(k).real for k in range(found)])
     nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
@@ -105,13 +106,13 @@ def solve_modes(
             "floats and the stiffness is singular; give a shift below zero, or clamp the body"
         )
     # in fine meshes the forces that cancel in K phi are so large that their rounding alone passes any fixed tolerance
-    excess = modes.residual / np.maximum(tolerance, rounding)
+    excess = modes.residual / np.maximum(LARGEST_RESIDUAL, rounding)
     worst = int(np.argmax(excess))
     if not excess[worst] <= 1:
         raise ModesError(
             f"mode {worst + 1} at {frequency[worst]:.6g} Hz has a relative residual of "
-            f"{residual[worst]:.2g}, allowed is {max(tolerance, rounding[worst]):.2g}; "
-            "ask for fewer modes or loosen the tolerance"
+            f"{residual[worst]:.2g}, allowed is {max(LARGEST_RESIDUAL, rounding[worst]):.2g}; "
+            "ask for fewer modes"
         )
     return modes
 

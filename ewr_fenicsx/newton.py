@@ -84,8 +84,8 @@ def solve(
         default weights and dashpots where none was found with what it asks for; ``fallbacks`` says so.
 
     Raises:
-        ModelError: ``start`` is no solution or has another number of pairs, the tolerance is out of bounds, or there is
-            no such ``linear_solver``.
+        ModelError: ``start`` is no solution, not finite or has another number of pairs, the tolerance is out of
+            bounds, or there is no such ``linear_solver``.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
     check_problem(problem)
@@ -96,6 +96,8 @@ def solve(
             f"start has {start.problem.model.pairs} pairs, the problem {problem.model.pairs}; give a solution on "
             "the same joint, or none"
         )
+    if start is not None and not np.all(np.isfinite(start.forces)):
+        raise ModelError("start has forces that are not finite; give a solution that converged, or none")
     if linear_solver not in (known := get_args(LinearSolver)):
         raise ModelError(
             f"linear_solver = {linear_solver!r}; choose one of {', '.join(known)}{nearest(linear_solver, known)}"
@@ -118,7 +120,7 @@ def solve(
             tried.append(f"{name}: {attempts[-1].reason}")
             if attempts[-1].converged or attempts[-1].walks:
                 break
-            best = min(best or begin_at_full_stick(balance), attempts[-1], key=lambda a: a.residual)
+            best = min(best or begin_at_full_stick(balance), attempts[-1])
     if attempts and attempts[-1].usual:
         asked, problem = use_default_weights(asked), use_default_weights(problem)
     fell_back = tuple(tried) if len(tried) > 1 else ()
@@ -266,7 +268,7 @@ def start_from_time_stepping(
     for unknowns in starts:
         found = run_newton(balance, unknowns, tolerance, linear_solver)
         steps += found.iterations
-        attempt = min(attempt, found, key=lambda a: a.residual)
+        attempt = min(attempt, found)
         if attempt.residual < GROSS:
             break
     change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
@@ -321,7 +323,7 @@ def wrap(
     seconds: float,
 ) -> PeriodicSolution:
     """The best attempt as a solution; a problem without a balance is linear and needed none."""
-    best = min(attempts, key=lambda a: a.residual, default=None)
+    best = min(attempts, default=None)
     forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
     if best is not None:
         forces, rigid = balance.unpack(best.unknowns)

@@ -50,6 +50,10 @@ class Attempt:
     walks: bool = False
     usual: bool = False
 
+    def __lt__(self, other: Attempt) -> bool:
+        """Whether it left less over; anything is less than no number."""
+        return self.residual < other.residual or bool(np.isnan(other.residual))
+
 
 def run_newton(
     balance: HarmonicBalance,
@@ -84,7 +88,7 @@ def run_newton(
     if not attempts:
         return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
-    return replace(min(attempts, key=lambda attempt: attempt.residual), iterations=steps)
+    return replace(min(attempts), iterations=steps)
 
 
 class _Newton:

@@ -37,7 +37,7 @@ class PeriodicSolution(PeriodicMotion):
         fallbacks: Every rung of the ladder that was taken, in order; empty where the first attempt converged.
         residual: Norm of the weighted residual over the natural force.
         seconds: Wall time of the solve.
-        unknowns: Number of unknowns given to Newton, 0 for a linear problem.
+        unknowns: Number of unknowns given to Newton; 0 where every pair is bonded or free.
         stages: Wall time of the solve by stage [s].
         left_out: Harmonics at which the contact forces are zero by symmetry, so that the solve did without.
         why_left_out: By which symmetry.

@@ -308,7 +308,7 @@ def integrate(
             break
         changes.append(watch.measure_change(last))
         ahead = anderson.extrapolate(here, end, last)
-        if follows and changes[-1] <= tolerance and not last.unsolved:
+        if follows and tolerance and changes[-1] <= tolerance and not last.unsolved:
             reason = "steady"
             break
         follows = not acceleration or anderson.defect <= tolerance
@@ -317,7 +317,7 @@ def integrate(
         reason = f"not steady after {periods} periods"
         if walks_on(last, scheme):
             reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
-        elif follows and watch.second_change <= tolerance:
+        elif follows and tolerance and watch.second_change <= tolerance:
             reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
         elif tolerance and theta == UNDAMPED:
             reason += _RINGS

@@ -59,7 +59,7 @@ def try_starts(
         steps += attempts[-1].iterations + taken
         if attempts[-1].converged:
             break
-    return replace(min(attempts, key=lambda a: a.residual), iterations=steps)
+    return replace(min(attempts), iterations=steps)
 
 
 def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:

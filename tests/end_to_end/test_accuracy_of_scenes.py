@@ -129,8 +129,8 @@ def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
     for frequency, row in zip(frequencies, rows, strict=True):
         assert float(row["frequency [Hz]"]) == frequency
         assert float(row["estimate"]) <= 0.1
-        problem = pose_problem(scene, chain.reduction.model, chain.interface, frequency)
-        true = np.abs(solve(replace(problem, harmonics=13)).output("tip")[1:])
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        true = np.abs(solve(replace(problem, frequency=frequency, harmonics=13)).output("tip")[1:])
         off = [float(row.get(f"|tip| harmonic {h}", 0.0)) - true[h - 1] for h in range(1, 14)]
         assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
 

@@ -80,6 +80,24 @@ def test_a_small_sample():
     assert len(check_outcomes(off)) >= 0.9 * len(off)
 
 
+@cache
+def run_large_sample() -> list[hard_cases.Outcome]:
+    """That of ``benchmarks/results/hard_cases.json``."""
+    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0)
+    return usual + off
+
+
+@pytest.mark.slow
+def test_a_large_sample_does_not_fall_behind():
+    """What was reached, with what a slow machine may give up at the cap."""
+    outcomes = run_large_sample()
+    given_up = [o for o in outcomes if o.status == "given up"]
+    assert len(given_up) <= 0.015 * len(outcomes), describe(given_up)
+    solved = check_outcomes([o for o in outcomes if o.status != "given up"])
+    assert len(solved) >= 0.97 * len(outcomes)
+    assert np.median([o.steps for o in solved]) <= 12 and np.mean([o.steps for o in solved]) <= 120
+
+
 @pytest.mark.slow
 @pytest.mark.xfail(
     strict=True,
@@ -87,8 +105,9 @@ def test_a_small_sample():
     reason="target not reached: 99.5 % in 15 steps on average; aperiodic motions, and weights a thousandfold off",
 )
 def test_a_large_sample():
-    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0)
-    check_share(usual + off, share=0.995, steps=15.0)
+    solved = [o for o in run_large_sample() if o.status == "converged"]
+    assert len(solved) >= 0.995 * len(run_large_sample())
+    assert np.mean([o.steps for o in solved]) <= 15.0
 
 
 def test_the_sample_has_every_level_equally_often():

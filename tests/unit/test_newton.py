@@ -107,6 +107,12 @@ def test_arguments_that_are_none_of_their_kind_are_refused(arguments, message):
         solve(**{"problem": PROBLEMS["floating, slip"]} | arguments)
 
 
+def test_a_start_that_is_no_number_is_refused():
+    found = solve(PROBLEMS["floating, slip"])
+    with pytest.raises(ModelError, match="start has forces that are not finite; give a solution that converged"):
+        solve(found.problem, replace(found, forces=np.nan * found.forces))
+
+
 def test_the_bounds_of_the_tolerance_are_those_of_a_scene():
     bounds = {type(m).__name__: m for m in Solver.model_fields["tolerance"].metadata}
     assert (bounds["Ge"].ge, bounds["Le"].le) == (newton.TIGHTEST, newton.LOOSEST)
@@ -163,6 +169,11 @@ def test_the_best_iterate_is_the_best_of_all_attempts(petsc_options, unreachable
     petsc_options(snes_max_it=0)
     lost = solve(problem, start=near, tolerance=unreachable, raise_on_failure=False)
     assert not lost.converged and lost.residual < 1e-6
+
+
+def test_an_attempt_that_ends_in_no_number_is_never_the_best():
+    lost, found = (snes.Attempt(np.zeros(1), residual, 1, "", False) for residual in (np.nan, 1e-3))
+    assert min(lost, found) is min(found, lost) is found
 
 
 @pytest.mark.parametrize(

@@ -220,6 +220,14 @@ def test_motion_of_twice_the_period_is_not_called_steady():
     assert np.abs(x[-1] - x[-3]).max() < 1e-2 * np.abs(x[-1] - x[-2]).max()
 
 
+def test_without_a_tolerance_all_periods_are_stepped():
+    """Also where nothing moves, and nothing changes at all."""
+    at_rest = ContactProblem(replace(stop_oscillator(), load={}), ContactLaws(tangential="frictionless"), 0.16)
+    result = integrate(at_rest, steps=64, periods=7, tolerance=0)
+    assert result.periods == 7 and result.reason == "not steady after 7 periods"
+    assert integrate(at_rest, steps=64, periods=7).periods < 7
+
+
 def test_ringing_of_a_massless_stop_is_told_with_the_remedy():
     """The stop's end has no mass: with theta = 1/2 nothing damps what contact excites from step to step."""
     laws = ContactLaws(tangential="frictionless", initial_gap=1.0)
