@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 
 import numpy as np
@@ -15,12 +15,14 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.periodic_motion import SECOND
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
+from ewr_fenicsx.snes import run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
 _STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
+REST = 1e-8  # residual of the static solution from which a motion starts
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
 SECOND_HISTORIES = tuple(SECOND + name for name in ("friction_force", "slip", "slip_velocity"))
@@ -188,9 +190,11 @@ class SteadyState:
     def _recover_bonds(self, found: dict[str, RealArray], held: list[tuple[str, np.ndarray]]) -> None:
         """Forces in bonded pairs: what the equation of motion leaves over."""
         model, scheme = self.problem.model, self.scheme
-        x, v = self.last.positions @ scheme.expansion.T, self.last.velocities @ scheme.expansion.T
-        blend = lambda values: (1 - scheme.theta) * values[:-1] + scheme.theta * values[1:]  # noqa: E731
-        left = np.diff(v, axis=0) / scheme.dt @ model.mass.T + blend(v) @ model.damping.T + blend(x) @ model.stiffness.T
+        expand = lambda modal: modal @ scheme.expansion.T  # noqa: E731
+        blend = lambda values: expand(scheme.blend(values[:-1], values[1:]))  # noqa: E731
+        x, v = self.last.positions, self.last.velocities
+        gained = expand(np.diff(v, axis=0)) / scheme.dt
+        left = gained @ model.mass.T + blend(v) @ model.damping.T + blend(x) @ model.stiffness.T
         left -= scheme.sample(self.problem.loads, np.arange(model.size))
         if model.normal is not None:
             left -= found["normal"] @ model.normal
@@ -211,7 +215,7 @@ class SteadyState:
             ``"viscous"``, ``"friction"``, ``"impact"`` dissipated.
         """
         scheme, last = self.scheme, self.last
-        v = (1 - scheme.theta) * last.velocities[:-1] + scheme.theta * last.velocities[1:]
+        v = scheme.blend(last.velocities[:-1], last.velocities[1:])
         work = (last.impulses * (v @ scheme.rows.T)).sum(axis=0)
         slides = scheme.kind == FRICTION
         energy = 0.5 * (last.velocities**2 @ scheme.mass + last.positions**2 @ scheme.stiffness)
@@ -256,8 +260,9 @@ def integrate(
     Args:
         problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
         start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
-            another result; ``"rest"``: the static full-stick state under the mean load, without velocity; None: the
-            full-stick periodic state.
+            another result; ``"rest"``: the static full-stick state under the mean load, without velocity, or where
+            there is a clearance, which full stick would close, the static solution of the laws; None: the full-stick
+            periodic state, or that rest.
         steps: Steps a period.
         periods: Most periods to step.
         tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the
@@ -350,8 +355,10 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
     elif start is None or isinstance(start, str):
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
-        stuck = find_full_stick(problem)
-        state = State(stuck.coordinates[0].real, np.zeros(problem.model.size)) if start == "rest" else state_of(stuck)
+        apart = bool(np.any(problem.clearance > 0))
+        found = find_rest(problem) if apart else find_full_stick(problem)
+        rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
+        state = rest if apart or start == "rest" else state_of(found)
     elif isinstance(start, PeriodicSolution):
         state = state_of(start)
     else:
@@ -369,6 +376,16 @@ def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
     if problem.system.rows.shape[0]:
         forces, rigid = HarmonicBalance(problem.system).full_stick
     return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
+
+
+def find_rest(problem: ContactProblem) -> PeriodicSolution:
+    """The static solution of the laws under the mean load; where there is none, full stick."""
+    static = replace(problem, load={h: f for h, f in problem.loads.items() if h == 0})
+    balance = HarmonicBalance(static.system)
+    found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
+    if not found.converged:
+        return find_full_stick(problem)
+    return PeriodicSolution(static, *balance.unpack(found.unknowns), True, "at rest", 0, (), found.residual, 0.0, 0)
 
 
 def state_of(solution: PeriodicSolution) -> State:

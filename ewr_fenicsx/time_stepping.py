@@ -8,9 +8,10 @@ Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - t
 
 With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B^T p``, and the contact conditions see
 only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
-M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size
-rows x coordinates beside the contact solve. The laws are written again here, apart from ``contact_laws``: this is the
-second formulation, by which the first is judged.
+M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size rows
+x coordinates beside the contact solve. With 1/2, modes without mass, or far too fast for the step, would ring from step
+to step for ever: they have a ``theta`` of their own, not far above, for it also shifts what they do in time. The laws
+are written again here, apart from ``contact_laws``: this is the second formulation, by which the first is judged.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Stewart & Trinkle (1996),
 doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
@@ -34,6 +35,8 @@ from ewr_fenicsx.law_kinds import spread_over_pairs
 
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 _KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
+# Share of a mode's mass in its inertia of a step from which down the step does not resolve it at all; its least theta.
+_TOO_FAST, _FOLLOWING = 1e-3, 0.6
 _DIAGONAL = 1e-9  # modal damping counts as diagonal up to this share of the geometric mean of the diagonal entries
 
 
@@ -71,6 +74,9 @@ class TimeScheme:
         steps: Steps a period.
         theta: 1/2 conserves energy, up to 1 damps what the step does not resolve.
 
+    Attributes:
+        thetas: ``(n',)`` that of each mode: more for those without mass, or far too fast for the step.
+
     Raises:
         ModelError: No period, no whole number of steps, too few for the problem's harmonics, or ``theta`` outside
             [1/2, 1].
@@ -97,6 +103,7 @@ class TimeScheme:
         self._contraction = modes.T @ inertia @ self.system.expansion.T
         self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
         self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
+        self.thetas = np.where(self.mass > _TOO_FAST, self.theta, max(self.theta, _FOLLOWING))
         self.damping = modes.T @ model.damping @ modes
         self.rows = np.ascontiguousarray(self.system.rows @ modes)
         self.modes = modes
@@ -104,7 +111,7 @@ class TimeScheme:
         self._compose_laws()
 
     def _compose_step(self) -> None:
-        theta, dt, n = self.theta, self.dt, self.mass.size
+        theta, dt, n = self.thetas, self.dt, self.mass.size
         own = np.diag(self.damping)
         rounding = _DIAGONAL * np.sqrt(np.abs(np.outer(own, own))) + 1e-12 * np.abs(own).max(initial=0.0)
         self.is_diagonal = bool(np.all(np.abs(self.damping - np.diag(own)) <= rounding))
@@ -116,7 +123,7 @@ class TimeScheme:
             self.push = inverse[:, None] * self.rows.T
             self._solve = lambda b: inverse[:, None] * b
         else:
-            factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + theta * dt * self.damping)
+            factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + dt * self.damping * theta)
             self._solve = lambda b: scipy.linalg.lu_solve(factor, b)
             self.keep = self.pull = np.zeros(0)
             self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
@@ -160,13 +167,18 @@ class TimeScheme:
 
     @cached_property
     def load(self) -> RealArray:
-        """Modal load at ``theta`` within each step, ``(steps, n')``."""
-        return self.sample(self.system.load, np.arange(self.system.model.size)) @ self.modes
+        """Modal load at each mode's ``theta`` within each step, ``(steps, n')``."""
+        ends = sample_amplitudes(self.system.load, np.arange(self.system.model.size), self.steps) @ self.modes
+        return self.blend(ends, np.roll(ends, -1, axis=0))
 
     @cached_property
     def velocity_of_load(self) -> RealArray:
         """Velocity that the load alone adds in each step, ``(steps, n')``."""
         return np.ascontiguousarray(self.dt * self._solve(self.load.T).T)
+
+    def blend(self, begins: RealArray, ends: RealArray) -> RealArray:
+        """Modal values ``(steps, n')`` at each mode's ``theta`` between those at the begin and at the end of steps."""
+        return (1 - self.thetas) * begins + self.thetas * ends
 
     def contract(self, vector: RealArray) -> RealArray:
         """Modal coordinates ``(n',)`` of reduced ones ``(n,)``, bonded motions left out."""
@@ -188,7 +200,8 @@ class TimeScheme:
         impulses = np.empty((self.steps, m))
         positions[0], velocities[0] = position, velocity
         taken, unsolved = compile_loop()(
-            self.theta, self.dt, self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
+            self.theta, self.thetas, np.flatnonzero(self.thetas != self.theta), self.dt,
+            self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
             self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.twin,
             self.friction, self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
             positions, velocities, impulses,
@@ -197,13 +210,14 @@ class TimeScheme:
 
 
 def step_through_period(
-    theta, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order, kind, partner,
-    twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
+    theta, thetas, fast, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order,
+    kind, partner, twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
 ):  # fmt: skip
     """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
 
-    ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
-    with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
+    ``fast`` lists the modes with another ``theta`` than most. ``order`` lists the rows one after the other, but for
+    second tangents under friction: those are solved for together with their ``twin``, the first one. Where the pair
+    does not stick, one step of projected gradient has to do.
     """
     steps, m = impulses.shape
     n = positions.shape[1]
@@ -282,9 +296,13 @@ def step_through_period(
                 gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
                 u[i] = u_end[i]
                 impulses[k, i] = p[i]
+            for j in fast:
+                more = dt * (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
+                for i in range(m):
+                    gap[i] += rows[i, j] * more
         for i in range(n):
             end = free[i] + push_of_p[i]
-            x[i] += dt * (theta * end + (1 - theta) * v[i])
+            x[i] += dt * (thetas[i] * end + (1 - thetas[i]) * v[i])
             v[i] = end
             positions[k + 1, i] = x[i]
             velocities[k + 1, i] = v[i]
@@ -303,7 +321,22 @@ def compile_loop():
     except ImportError as missing:
         raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
     vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
-    arguments = ["f8", "f8", vector, vector, *[matrix] * 6, *[index] * 4, vector, vector, matrix, vector, "f8", "i8"]
+    arguments = [
+        "f8",
+        vector,
+        index,
+        "f8",
+        vector,
+        vector,
+        *[matrix] * 6,
+        *[index] * 4,
+        vector,
+        vector,
+        matrix,
+        vector,
+        "f8",
+        "i8",
+    ]
     signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
     try:
         return numba.njit(signature, cache=True)(step_through_period)

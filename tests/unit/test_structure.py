@@ -22,7 +22,7 @@ ORDER = [
     "contact_problem", "ignored",
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
-    "periodicity", "time_integration", "symmetry", "continuation", "snes", "splitting", "ladder", "warm_starts",
+    "periodicity", "snes", "time_integration", "symmetry", "continuation", "splitting", "ladder", "warm_starts",
     "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "cost", "progress", "task_sharing",
     "solution_store", "following", "refining", "sweep_store", "frequency_sweep", "archard", "wear_store",
     "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure", "scene_joint",
