@@ -34,6 +34,7 @@ from ewr_fenicsx.symmetry import leave_out_idle
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
+MOST_HARMONICS = 63  # of the lowest harmonic with a load
 MOST_SAMPLES = 512  # a highest harmonic
 MODES_GROWTH = 2  # of their number, where the modes left out matter most
 MOST_MODES = 240
@@ -108,7 +109,7 @@ def solve_to_accuracy(
     tolerance: float = 1e-8,
     *,
     first: int = FIRST_ORDER,
-    highest: int = 63,
+    highest: int | None = None,
     most_unknowns: int = 8000,
     modes: Sequence[int] = (),
     more_modes: MoreModes | None = None,
@@ -125,13 +126,13 @@ def solve_to_accuracy(
     without, a larger set is tried once, and where it fails as well, what was found before stays.
 
     Args:
-        problem: The problem; its own harmonics and samples are not used; a weight ``rho_tangential`` or springs that
-            it gives are kept.
+        problem: The problem; its own harmonics (which must hold its loads) and samples are not used; a weight
+            ``rho_tangential`` or springs that it gives are kept.
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
         first: Highest harmonic of the first solve, unless loads need more.
-        highest: Highest harmonic that may be used.
+        highest: Highest harmonic that may be used; None: 63 times the lowest that is loaded.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by the modes left out
             can be estimated. Empty: that error is not looked at.
@@ -152,13 +153,14 @@ def solve_to_accuracy(
     check_accuracy(accuracy)
     check_problem(problem)
     modes = read_modes(modes, problem.model.size)
+    loaded = [h for h, f in problem.excitation.items() if np.any(f)]
+    highest = MOST_HARMONICS * min((h for h in loaded if h), default=1) if highest is None else highest
     for name, count in (("first", first), ("highest", highest), ("most_unknowns", most_unknowns)):
         if not is_whole(count, 1):
             raise ModelError(f"{name} = {count!r}; give a whole number from 1")
     if not (figure is None or callable(figure)):
         raise ModelError(f"figure = {figure!r}; give a function of a solution that returns an array, or None")
     begin = time.perf_counter()
-    loaded = [h for h, f in problem.excitation.items() if np.any(f)]
     if max(loaded, default=0) > highest:
         raise ModelError(f"highest = {highest}; loads act at harmonic {max(loaded)}: allow at least that")
     top = min(int(highest), max([int(first), *(2 * h for h in loaded if h > 1)]))

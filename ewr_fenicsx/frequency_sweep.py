@@ -29,7 +29,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
 from ewr_fenicsx.newton import adopt_weights, solve, went_back
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
-from ewr_fenicsx.refining import join_points, refine_points
+from ewr_fenicsx.refining import join_points, refine_points, thin_out
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
@@ -278,9 +278,8 @@ def frequency_response(
         curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
             posed = follower.problem_at(targets[0])
-            curves[label] = refine_response(
-                curves[label], posed, targets, accuracy, tolerance, modes=modes, comm=comm, progress=progress
-            )
+            shared = {"modes": modes, "folder": folder, "comm": comm, "progress": progress}
+            curves[label] = refine_response(curves[label], posed, targets, accuracy, tolerance, **shared)
     if store:
         do_on_rank_zero(lambda: _write_results(store.folder, curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
@@ -294,6 +293,7 @@ def refine_response(
     tolerance: float = 1e-8,
     *,
     modes: Sequence[int] = (),
+    folder: Path | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
     progress: bool = False,
 ) -> FrequencyResponse:
@@ -304,13 +304,15 @@ def refine_response(
         problem: What they solve, at any frequency; its model may have more modes than theirs.
         frequencies: Where a solution is wanted [Hz]. Others, of a fold, are left out where they fell off their branch.
         accuracy, tolerance, modes: As in ``solve_to_accuracy``.
-        comm, progress: As in ``frequency_response``.
+        folder, comm, progress: As in ``frequency_response``.
 
     Raises:
         ModelError: The accuracy is not between 0 and 1.
     """
-    found = refine_points(problem, curve.solutions, accuracy, tolerance, modes=modes, comm=comm, progress=progress)
-    found, jumps = join_points(curve.solutions, found, frequencies, tolerance)
+    shared = {"modes": modes, "folder": folder, "comm": comm, "progress": progress}
+    points = thin_out(curve.solutions, frequencies)
+    found = refine_points(problem, points, accuracy, tolerance, **shared)
+    found, jumps = join_points(points, found, frequencies, tolerance)
     jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
     return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), curve.missing, tuple(found))
 

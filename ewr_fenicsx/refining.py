@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -21,11 +22,14 @@ from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump, compa
 from ewr_fenicsx.newton import adopt_weights, solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import Record, restore, strip
+from ewr_fenicsx.solution_store import Record, fingerprint, restore, strip
+from ewr_fenicsx.sweep_store import FORMAT, GroupStore
 from ewr_fenicsx.task_sharing import share_tasks
 
 GROUP = 6  # points a group
 PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics
+# Points of a fold are left out that lie so close to the last one, in outputs and in frequency over its range.
+CLOSE, APART = 0.05, 0.01
 SAME = 2.0  # accuracies that two solutions of one problem may lie apart
 
 
@@ -36,6 +40,7 @@ def refine_points(
     tolerance: float = 1e-8,
     *,
     modes: Sequence[int] = (),
+    folder: Path | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
     progress: bool = False,
 ) -> list[AccurateSolution]:
@@ -45,31 +50,57 @@ def refine_points(
         problem: What is to be solved, at any frequency; its model may have other modes than that of the points.
         points: Where to start: a solution for each frequency, in the order of the curve.
         accuracy, tolerance, modes: As in ``solve_to_accuracy``.
+        folder: Where groups are kept as they end, so that an interrupted run goes on from there; None: nowhere.
         comm: Ranks that share the work.
         progress: Whether rank 0 shows how far it is.
 
     Returns:
         A solution a point. One without a solution of more harmonics keeps its own, and says so in its ``limit``.
     """
-    groups = [points[i : i + GROUP] for i in range(0, len(points), GROUP)]
+    starts = range(0, len(points), GROUP)
+    store = None
+    if folder is not None:
+        begun = [(p.problem.frequency, p.problem.harmonics, p.forces, p.rigid) for p in points]
+        store = GroupStore(Path(folder), fingerprint(FORMAT, problem, begun, accuracy, tolerance, list(modes)))
 
-    def work(group: Sequence[PeriodicSolution]) -> list[tuple[Record, AccurateSolution]]:
+    def work(start: int) -> list[tuple[Record, AccurateSolution]]:
+        known = store.read(start) if store else None
+        if known:
+            return known
+        group = points[start : start + GROUP]
         done, first = [], group[0].orders[-1] or FIRST_ORDER
         for point in group:
             posed = replace(problem, frequency=point.problem.frequency)
             found = refine_point(posed, point, accuracy, tolerance, first, modes)
             first = begin_next(found, first)
             done.append((strip(found.solution), replace(found, solution=None)))
+        if store:
+            store.write(start, done)
         return done
 
-    with count_progress("accuracy", len(groups), progress and comm.rank == 0) as report:
-        results = share_tasks(groups, work, comm, report)
-        report(len(groups))
+    with count_progress("accuracy, points", len(points), progress and comm.rank == 0) as report:
+        results = share_tasks(starts, work, comm, lambda begun: report(begun * GROUP))
+        report(len(points))
     return [
         replace(found, solution=restore(replace(problem, frequency=record.frequency), record))
         for group in results
         for record, found in group
     ]
+
+
+def thin_out(points: Sequence[PeriodicSolution], frequencies: Sequence[float]) -> list[PeriodicSolution]:
+    """The points of a curve that are worth solving again: where a solution is wanted, and others that lie apart.
+
+    With few harmonics a curve may wriggle, and following it round each of its corners takes many points.
+    """
+    apart = APART * (max(frequencies) - min(frequencies))
+    kept: list[PeriodicSolution] = []
+    for point in points:
+        here = point.problem.frequency
+        wanted = not kept or here in frequencies or abs(here - kept[-1].problem.frequency) > apart
+        if wanted or measure_gap(kept[-1], point) > CLOSE:
+            kept.append(point)
+    return kept
 
 
 def refine_point(

@@ -20,6 +20,8 @@ from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
 SETTLING, SETTLED = 8, 1e-8  # Newton steps to a solution next to this one, and their residual over its forces
+FEW_MULTIPLES = 3  # of the loads' harmonics: with fewer, friction and taps are hardly seen
+HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 
 
@@ -109,17 +111,16 @@ class PeriodicSolution(PeriodicMotion):
             return ()
         merit, coarse = self.merit, []
         exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
-        strained = np.abs(self.forces) ** 2 @ self.problem.system.flexibility  # where contact stops all, motion rounds
-        moved = np.sum(np.abs(self.excitation * self.coordinates), axis=1)
-        swinging = np.pi * float(np.array(self.orders) @ (moved + strained))
+        little = LITTLE_EXCHANGE * self._swinging
         normal = [laws.kinds[0] for _, laws in self.problem.groups]
         tells = all(kind.only_pushes for kind in normal if kind.acts_in(self.problem.model.tangents))  # of truncation
-        if tells and abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > LITTLE_EXCHANGE * swinging:
+        if tells and abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > little:
             coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
-        if merit["viscous_dissipation"] < -LITTLE_EXCHANGE * swinging:
+        lines += self._list_few_multiples() + self._list_hit_modes()
+        if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
         if self.rigid.size and walks(*self._pose(), DOUBTFUL):
@@ -132,6 +133,37 @@ class PeriodicSolution(PeriodicMotion):
         elif self.unstable:
             lines.append(unstable)
         return tuple(lines)
+
+    @cached_property
+    def _swinging(self) -> float:
+        """Energy that swings to and fro over a period, beside which what is gained and lost may be rounding [J]."""
+        strained = np.abs(self.forces) ** 2 @ self.problem.system.flexibility  # where contact stops all, motion rounds
+        moved = np.sum(np.abs(self.excitation * self.coordinates), axis=1)
+        return np.pi * float(np.array(self.orders) @ (moved + strained))
+
+    def _list_few_multiples(self) -> list[str]:
+        """Where loads at high harmonics leave few of their multiples: a number of harmonics counts all of them."""
+        base = int(np.gcd.reduce([h for h, f in self.problem.excitation.items() if h and np.any(f)] or [1]))
+        kept = [h for h in self.orders if h and h % base == 0]
+        rubs = self.merit["friction_dissipation"] > LITTLE_EXCHANGE * self._swinging
+        if base == 1 or len(kept) >= FEW_MULTIPLES or not (rubs or self._taps):
+            return []
+        few = f"all loads act at multiples of harmonic {base}, and few of these are kept"
+        return [f"{few}: give harmonics = {5 * base} or more, or the loads' own frequency with loads at harmonic 1"]
+
+    def _list_hit_modes(self) -> list[str]:
+        """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""
+        model, lines = self.problem.model, []
+        for h, x in zip(self.orders, self.coordinates, strict=True):
+            rate = h * self.problem.omega
+            strain, inertia = (float((x.conj() @ K @ x).real) for K in (model.stiffness, rate**2 * model.mass))
+            left = abs(strain - inertia + 1j * rate * (x.conj() @ model.damping @ x))
+            if h and left < HIT * max(strain, inertia):
+                lines.append(
+                    f"harmonic {h} hits a mode without damping, and rounding decides how far it swings: add damping, "
+                    "or move the frequency"
+                )
+        return lines
 
     def list_reservations(self) -> list[str]:
         """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""

@@ -175,7 +175,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             **settings,
         )
         if scene.solver.accuracy is not None and curve.solutions:
-            chain, curve = _refine(chain, watch, curve)
+            chain, curve = _refine(chain, watch, curve, work)
             curve = replace(curve, accurate=tuple(map(findings.word_remedy, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
@@ -203,7 +203,9 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             curve.unstable,
         )
 
-    told = "\n".join([*findings.tell_sweep(curve, problem), f"strongest at {strongest.summary()}"])
+    beaten = height[by_height[-1]] < height.max()
+    which = "strongest of those that motions in time stay at" if beaten else "strongest"
+    told = "\n".join([*findings.tell_sweep(curve, problem), f"{which}: at {strongest.summary()}"])
     course, facts = (curve.frequencies, height), findings.list_facts_of_sweep(curve, problem)
     return Study(chain, strongest, watch.seconds, course, told, write, facts)
 
@@ -212,7 +214,9 @@ def _label(name: str, values: RealArray) -> tuple[str, RealArray]:
     return (f"{name} [J]", values) if name == "excitation_work" else (f"{name} [mm]", 1e3 * values)
 
 
-def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[Chain, FrequencyResponse]:
+def _refine(
+    chain: Chain, watch: Stopwatch, curve: FrequencyResponse, work: Path | None
+) -> tuple[Chain, FrequencyResponse]:
     """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
     from ewr_fenicsx.accuracy import raise_modes
     from ewr_fenicsx.frequency_sweep import refine_response
@@ -228,6 +232,7 @@ def _refine(chain: Chain, watch: Stopwatch, curve: FrequencyResponse) -> tuple[C
             asked.accuracy,
             asked.tolerance,
             modes=modes.coordinates,
+            folder=work,
             comm=chain.mesh.domain.comm,
             progress=shown,
         )

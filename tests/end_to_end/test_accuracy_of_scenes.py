@@ -88,7 +88,7 @@ def test_what_keeps_a_scene_from_its_accuracy_is_told_in_words_of_a_scene(
 
 def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
     """A blade root with one mode: the answer is that of a hundred modes and more harmonics, within the accuracy."""
-    path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", "accuracy = 0.03")
+    path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", "accuracy = 0.05")
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr()
     assert "modes raised from 1 to" in told.out and "NOT as accurate" not in told.out
@@ -107,8 +107,8 @@ def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
     tip = {entry["harmonic"]: entry["real"] + 1j * entry["imag"] for entry in summary["solution"]["outputs"]["tip"]}
     answer = np.array([tip.get(h, 0.0) for h in range(1, 22)])
     off = lambda here: np.linalg.norm(here - found[100]) / np.linalg.norm(found[100])  # noqa: E731
-    assert off(answer) <= 0.03
-    assert off(found[1]) > 0.03, "one mode was too few"
+    assert off(answer) <= 0.05
+    assert off(found[1]) > 0.05, "one mode was too few"
 
 
 def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):

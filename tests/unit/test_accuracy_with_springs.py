@@ -132,7 +132,7 @@ def test_where_no_weight_of_its_own_leads_on_the_default_ones_may(monkeypatch, t
         return found
 
     monkeypatch.setattr("ewr_fenicsx.accuracy.solve", refuse_own)
-    posed = pose_level(rub_behind_springs(), 9, 8.0, frozenset(), False)
+    posed = pose_level(rub_behind_springs(), 9, 8.0, frozenset(), False, None)
     found = go_on(posed, solve(rub_behind_springs()), 1e-8, cold=True)
     assert found.problem.rho_tangential is None
     assert [told.split(": ")[0] for told in found.fallbacks] == ["given start", "cold start", "default weights"]
@@ -145,7 +145,7 @@ def test_dashpots_stand_for_masses_where_these_find_no_solution():
         np.diag([1.0, 2.0]), 0.1 * np.eye(2), np.diag([3.0, 1.0]), tangential=np.eye(2), load={1: [1.0, 1.0]}
     )
     problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.3), 0.1)
-    closures = [pose_level(problem, 9, 8.0, frozenset(), springs).system.closures for springs in (True, False)]
+    closures = [pose_level(problem, 9, 8.0, frozenset(), springs, None).system.closures for springs in (True, False)]
     assert closures == [("masses",), ()]
 
 

@@ -9,24 +9,19 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
+from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import (
     ContactLaws,
     ContactProblem,
     frequency_response,
     frequency_sweep,
-    refining,
     solve,
-    solve_to_accuracy,
 )
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
-from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import LARGEST_SURPRISE, Jump, agree
+from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.following import Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
-from ewr_fenicsx.refining import join_points, measure_gap, refine_point
-from ewr_fenicsx.solution_store import read_records, restore, strip
+from ewr_fenicsx.solution_store import restore, strip
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)
@@ -214,111 +209,6 @@ def test_what_makes_no_sweep_is_refused_before_any_solve(arguments, message, mon
         sweep(**arguments)
 
 
-def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
-    """Against a sweep with many harmonics, and against single solves to the same accuracy, from cold."""
-    accuracy = 0.02
-    curve = sweep(accuracy=accuracy)
-    model = curve.solutions[0].problem.model
-    truth = frequency_response(model, LAWS, FREQUENCIES, 60, progress=False)
-    for found, true in zip(curve.accurate, truth.solutions, strict=True):
-        assert found.reached and found.estimate.total <= accuracy
-        assert measure_distance(found.solution, true) <= accuracy
-        single = solve_to_accuracy(ContactProblem(model, LAWS, true.problem.frequency), accuracy)
-        assert measure_distance(found.solution, single.solution) <= 2 * accuracy
-    tops = [s.orders[-1] for s in curve.solutions]
-    assert len(set(tops)) > 1, "harmonics are chosen at each frequency"
-    assert [found.solution for found in curve.accurate] == list(curve.solutions)
-    table = curve.table()
-    np.testing.assert_array_equal(table["highest_harmonic"], tops)
-    np.testing.assert_array_equal(table["estimate"], [found.estimate.total for found in curve.accurate])
-    assert f"|tip| harmonic {max(tops)}" in table
-    lean = tops.index(min(tops))
-    assert curve.output("tip")[lean, curve.orders.index(max(tops))] == 0.0, "a harmonic that this one has not"
-
-
-def test_a_finer_sweep_gives_the_same_curve():
-    coarse, fine = sweep(accuracy=0.02), sweep(np.linspace(0.08, 0.4, 17), accuracy=0.02)
-    for here, there in zip(coarse.accurate, fine.accurate[::2], strict=True):
-        assert measure_distance(here.solution, there.solution) <= 0.04
-
-
-def test_points_that_are_not_as_accurate_as_asked_say_why():
-    curve = sweep(FREQUENCIES[2:4], accuracy=1e-6)
-    assert not any(found.reached for found in curve.accurate)
-    assert all("harmonic 63 is the highest allowed" in found.limit for found in curve.accurate)
-    assert (curve.table()["estimate"] > 1e-6).all()
-
-
-def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch):
-    def fail(problem, *_, **__):
-        raise NotConverged("lost", best=solve(problem))
-
-    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
-    coarse, curve = sweep(), sweep(accuracy=0.02)
-    np.testing.assert_array_equal(curve.output("tip"), coarse.output("tip"))
-    assert not any(found.reached for found in curve.accurate)
-    assert all(found.limit.startswith("no solution found with harmonics up to 5") for found in curve.accurate)
-    assert [found.estimate.total for found in curve.accurate] == [estimate_errors(s).total for s in coarse.solutions]
-
-
-def test_a_point_without_a_more_accurate_solution_is_solved_on_a_model_with_more_modes(monkeypatch):
-    """Its forces are not a solution there, though they were one before."""
-
-    def fail(problem, *_, **__):
-        raise NotConverged("lost", best=solve(problem))
-
-    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
-    curve = sweep()
-    model = curve.solutions[0].problem.model
-    stiffer = replace(model, stiffness=1.1 * model.stiffness)
-    problem = ContactProblem(stiffer, LAWS, FREQUENCIES[0], 5)
-    for found in refining.refine_points(problem, curve.solutions, 0.02):
-        balance = HarmonicBalance(found.solution.problem.system)
-        left = np.linalg.norm(balance.residual(balance.pack(found.solution.forces, found.solution.rigid)))
-        assert found.solution.problem.model is stiffer and found.solution.converged and left < 1e-8
-        assert not found.reached and found.limit
-
-
-def test_an_accurate_curve_may_begin_with_the_mean_alone():
-    at_rest = replace(model := lift_off_oscillator(), load={0: model.load[0]})
-    curve = frequency_response(at_rest, LAWS, FREQUENCIES[:2], harmonics=0, accuracy=0.01, progress=False)
-    assert all(found.reached for found in curve.accurate)
-
-
-def test_an_accurate_curve_goes_round_its_folds():
-    """With more harmonics the upper fold comes earlier: points that fall off there go, the rest is one curve."""
-    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
-    frequencies = np.linspace(0.15, 0.18, 7)
-    curve = frequency_response(model, laws, frequencies, 7, progress=False, accuracy=0.01)
-    assert curve.jumps == () and curve.missing == ()
-    assert set(frequencies) <= set(curve.frequencies)
-    assert all(found.reached for found in curve.accurate)
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
-    assert len(turns) == 2
-    # between the folds the response falls all the way but for the accuracy: no point is one of another branch
-    heights = np.abs(curve.output("tip")[turns[0] : turns[1] + 1, curve.orders.index(1)])
-    assert (np.diff(heights) < 0.01 * heights[:-1]).all()
-    assert heights[0] > 1.7 and heights[-1] < 1.01
-
-
-def test_a_curve_that_falls_off_its_branch_is_broken_there():
-    """A point from the lower branch in place of the upper one: told where it is wanted, left out elsewhere."""
-    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
-    upper = frequency_response(model, laws, [0.160, 0.165, 0.166, 0.167], 7, progress=False)
-    found = [solve_to_accuracy(s.problem, 0.02, s) for s in upper.solutions]
-    lower = None
-    for frequency in (0.18, 0.172, 0.169, 0.166):
-        lower = solve(replace(upper.solutions[2].problem, frequency=frequency), lower)
-    fallen = [*found[:2], replace(found[2], solution=lower), found[3]]
-    frequencies = list(upper.frequencies)
-    assert join_points(upper.solutions, found, frequencies)[1] == []
-    kept, jumps = join_points(upper.solutions, fallen, frequencies)
-    assert kept == fallen
-    assert [jump.frequency for jump in jumps] == [(0.165, 0.166), (0.166, 0.167)]
-    kept, jumps = join_points(upper.solutions, fallen, [0.160, 0.165, 0.167])
-    assert kept == [fallen[0], fallen[1], fallen[3]] and jumps == []
-
-
 def test_breaks_of_a_curve_are_where_its_jumps_are():
     """Between the points that a jump names, or the first one beyond; each jump once, also where a curve runs back."""
     points = [SimpleNamespace(problem=SimpleNamespace(frequency=f)) for f in (1.0, 2.0, 3.0, 2.5, 2.0, 3.0, 5.0)]
@@ -327,56 +217,6 @@ def test_breaks_of_a_curve_are_where_its_jumps_are():
     assert breaks((2.0, 3.0)) == (1,) and breaks((2.0, 3.0), (2.0, 3.0)) == (1, 4)
     assert breaks((3.0, 2.5)) == (2,) and breaks((3.0, 4.0)) == (5,)
     assert breaks((3.7, 5.0)) == (5,), "from a point between given frequencies, which is not kept"
-
-
-def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
-    """As with more modes; a jump told twice would break the curve at a second place."""
-    curve, jump = sweep(accuracy=0.1), Jump((0.1, 0.2), "with more harmonics")
-    monkeypatch.setattr(frequency_sweep, "join_points", lambda points, found, *_: (found, [jump]))
-    problem = curve.solutions[0].problem
-    for _ in range(2):
-        curve = frequency_sweep.refine_response(curve, problem, curve.frequencies, 0.1)
-        assert curve.jumps == (jump,)
-
-
-def test_accurate_curves_are_kept_in_files(tmp_path):
-    """Forces of solutions with different harmonics in one array; each has its own rows."""
-    curve = sweep(accuracy=0.02, folder=tmp_path)
-    with h5py.File(tmp_path / "frequency_response.h5") as file:
-        records = read_records(file["curve_0"])
-        np.testing.assert_array_equal(file["curve_0/table/estimate"][()], curve.table()["estimate"])
-    assert len({len(record.forces) for record in records}) > 1
-    problem = ContactProblem(curve.solutions[0].problem.model, LAWS, 1.0)
-    for record, solution in zip(records, curve.solutions, strict=True):
-        back = restore(replace(problem, frequency=record.frequency), record)
-        assert back.orders == solution.orders
-        np.testing.assert_array_equal(back.output("tip"), solution.output("tip"))
-        assert np.linalg.norm(HarmonicBalance(back.problem.system).residual(pack(back))) < 1e-8
-    with (tmp_path / "frequency_response.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["highest_harmonic"]) for row in rows] == [s.orders[-1] for s in curve.solutions]
-
-
-def pack(solution):
-    return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)
-
-
-def test_a_point_that_crossed_a_fold_is_told_or_left_out():
-    """The upper branch's solution in place of the unstable one: near enough to pass for it but for its side."""
-    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
-    curve = frequency_response(model, laws, np.linspace(0.15, 0.18, 7), 7, progress=False)
-    points = [s for s in curve.solutions if s.side < 0 and 0.1697 < s.problem.frequency < 0.17055]
-    assert len(points) >= 3
-    upper = solve(points[1].problem, max(curve.solutions, key=lambda s: abs(s.output("tip")[1])))
-    assert upper.side == 1 and 0.04 < measure_gap(points[1], upper) < LARGEST_SURPRISE
-    found = [refine_point(s.problem, s, 0.02, 1e-8, 7) for s in points]
-    assert join_points(points, found, []) == (found, [])
-    found[1] = replace(found[1], solution=upper)
-    kept, jumps = join_points(points, found, [])
-    assert kept == [found[0], *found[2:]] and jumps == []
-    kept, (jump, *_) = join_points(points, found, [points[1].problem.frequency])
-    assert kept == found and "this is beyond its fold" in jump.why
-    assert jump.frequency == (points[0].problem.frequency, points[1].problem.frequency)
 
 
 def test_harmonics_that_symmetry_makes_zero_cost_no_point_of_a_curve_anything():

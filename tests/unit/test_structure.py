@@ -24,7 +24,7 @@ ORDER = [
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
     "periodicity", "snes", "time_integration", "symmetry", "continuation", "splitting", "ladder", "warm_starts",
     "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "cost", "progress", "task_sharing",
-    "solution_store", "following", "refining", "sweep_store", "frequency_sweep", "archard", "wear_store",
+    "solution_store", "following", "sweep_store", "refining", "frequency_sweep", "archard", "wear_store",
     "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure", "scene_joint",
     "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes",
     "columns", "reduction", "chain", "gathering", "plots", "cost_plots", "result_folder", "output", "wear_fields",

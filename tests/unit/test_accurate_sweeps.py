@@ -1,0 +1,240 @@
+"""Sweeps whose every point is as accurate as asked: harmonics point by point, folds, files, what cannot be reached."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from small_models import lift_off_oscillator, stop_oscillator
+
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    frequency_response,
+    frequency_sweep,
+    refining,
+    solve,
+    solve_to_accuracy,
+)
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.estimates import estimate_errors, measure_distance
+from ewr_fenicsx.following import LARGEST_SURPRISE, Jump
+from ewr_fenicsx.refining import CLOSE, join_points, measure_gap, refine_point, thin_out
+from ewr_fenicsx.solution_store import read_records, restore
+
+LAWS = ContactLaws(friction=0.3)
+FREQUENCIES = np.linspace(0.08, 0.4, 9)
+
+
+def sweep(frequencies=FREQUENCIES, laws=LAWS, **settings):
+    model = lift_off_oscillator(excitation=0.6, damping=0.1)
+    return frequency_response(model, laws, frequencies, harmonics=5, progress=False, **settings)
+
+
+def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
+    """Against a sweep with many harmonics, and against single solves to the same accuracy, from cold."""
+    accuracy = 0.02
+    curve = sweep(accuracy=accuracy)
+    model = curve.solutions[0].problem.model
+    truth = frequency_response(model, LAWS, FREQUENCIES, 60, progress=False)
+    for found, true in zip(curve.accurate, truth.solutions, strict=True):
+        assert found.reached and found.estimate.total <= accuracy
+        assert measure_distance(found.solution, true) <= accuracy
+        single = solve_to_accuracy(ContactProblem(model, LAWS, true.problem.frequency), accuracy)
+        assert measure_distance(found.solution, single.solution) <= 2 * accuracy
+    tops = [s.orders[-1] for s in curve.solutions]
+    assert len(set(tops)) > 1, "harmonics are chosen at each frequency"
+    assert [found.solution for found in curve.accurate] == list(curve.solutions)
+    table = curve.table()
+    np.testing.assert_array_equal(table["highest_harmonic"], tops)
+    np.testing.assert_array_equal(table["estimate"], [found.estimate.total for found in curve.accurate])
+    assert f"|tip| harmonic {max(tops)}" in table
+    lean = tops.index(min(tops))
+    assert curve.output("tip")[lean, curve.orders.index(max(tops))] == 0.0, "a harmonic that this one has not"
+
+
+def test_an_interrupted_accurate_sweep_goes_on_from_the_points_on_disk(tmp_path, monkeypatch):
+    """Of two laws, each with points of its own; asked for another accuracy, it begins anew."""
+    family = {0.3: LAWS, 0.4: replace(LAWS, friction=0.4)}
+    monkeypatch.setattr(refining, "GROUP", 2)
+    whole = sweep(laws=family, accuracy=0.02)
+    solved, refine = [], refining.refine_point
+
+    def count(problem, *arguments):
+        if len(solved) == limit:
+            raise KeyboardInterrupt
+        solved.append(problem.frequency)
+        return refine(problem, *arguments)
+
+    monkeypatch.setattr(refining, "refine_point", count)
+    limit = 5
+    with pytest.raises(KeyboardInterrupt):
+        sweep(laws=family, accuracy=0.02, folder=tmp_path)
+    limit = np.inf
+    again = sweep(laws=family, accuracy=0.02, folder=tmp_path)
+    assert solved[:4] == list(FREQUENCIES[:4]) and solved[5:] == [*FREQUENCIES[4:], *FREQUENCIES]
+    limit = len(solved)
+    summarise = lambda curves: [  # noqa: E731
+        (f.estimate.total, f.reached, f.limit, [level.orders for level in f.levels])
+        for curve in curves.values()
+        for f in curve.accurate
+    ]
+    for curves in (again, sweep(laws=family, accuracy=0.02, folder=tmp_path)):
+        assert summarise(curves) == summarise(whole)
+        for label, curve in curves.items():
+            np.testing.assert_array_equal(curve.output("tip"), whole[label].output("tip"))
+    with pytest.raises(KeyboardInterrupt):
+        sweep(laws=family, accuracy=0.1, folder=tmp_path)
+
+
+def test_a_finer_sweep_gives_the_same_curve():
+    coarse, fine = sweep(accuracy=0.02), sweep(np.linspace(0.08, 0.4, 17), accuracy=0.02)
+    for here, there in zip(coarse.accurate, fine.accurate[::2], strict=True):
+        assert measure_distance(here.solution, there.solution) <= 0.04
+
+
+def test_points_that_are_not_as_accurate_as_asked_say_why():
+    curve = sweep(FREQUENCIES[2:4], accuracy=1e-6)
+    assert not any(found.reached for found in curve.accurate)
+    assert all("harmonic 63 is the highest allowed" in found.limit for found in curve.accurate)
+    assert (curve.table()["estimate"] > 1e-6).all()
+
+
+def test_a_point_without_a_more_accurate_solution_stays_and_says_so(monkeypatch):
+    def fail(problem, *_, **__):
+        raise NotConverged("lost", best=solve(problem))
+
+    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
+    coarse, curve = sweep(), sweep(accuracy=0.02)
+    np.testing.assert_array_equal(curve.output("tip"), coarse.output("tip"))
+    assert not any(found.reached for found in curve.accurate)
+    assert all(found.limit.startswith("no solution found with harmonics up to 5") for found in curve.accurate)
+    assert [found.estimate.total for found in curve.accurate] == [estimate_errors(s).total for s in coarse.solutions]
+
+
+def test_a_point_without_a_more_accurate_solution_is_solved_on_a_model_with_more_modes(monkeypatch):
+    """Its forces are not a solution there, though they were one before."""
+
+    def fail(problem, *_, **__):
+        raise NotConverged("lost", best=solve(problem))
+
+    monkeypatch.setattr(refining, "solve_to_accuracy", fail)
+    curve = sweep()
+    model = curve.solutions[0].problem.model
+    stiffer = replace(model, stiffness=1.1 * model.stiffness)
+    problem = ContactProblem(stiffer, LAWS, FREQUENCIES[0], 5)
+    for found in refining.refine_points(problem, curve.solutions, 0.02):
+        balance = HarmonicBalance(found.solution.problem.system)
+        left = np.linalg.norm(balance.residual(balance.pack(found.solution.forces, found.solution.rigid)))
+        assert found.solution.problem.model is stiffer and found.solution.converged and left < 1e-8
+        assert not found.reached and found.limit
+
+
+def test_an_accurate_curve_may_begin_with_the_mean_alone():
+    at_rest = replace(model := lift_off_oscillator(), load={0: model.load[0]})
+    curve = frequency_response(at_rest, LAWS, FREQUENCIES[:2], harmonics=0, accuracy=0.01, progress=False)
+    assert all(found.reached for found in curve.accurate)
+
+
+def test_an_accurate_curve_goes_round_its_folds():
+    """With more harmonics the upper fold comes earlier: points that fall off there go, the rest is one curve."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    frequencies = np.linspace(0.15, 0.18, 7)
+    curve = frequency_response(model, laws, frequencies, 7, progress=False, accuracy=0.01)
+    assert curve.jumps == () and curve.missing == ()
+    assert set(frequencies) <= set(curve.frequencies)
+    assert all(found.reached for found in curve.accurate)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    assert len(turns) == 2
+    # between the folds the response falls all the way but for the accuracy: no point is one of another branch
+    heights = np.abs(curve.output("tip")[turns[0] : turns[1] + 1, curve.orders.index(1)])
+    assert (np.diff(heights) < 0.01 * heights[:-1]).all()
+    assert heights[0] > 1.7 and heights[-1] < 1.01
+
+
+def test_a_curve_that_falls_off_its_branch_is_broken_there():
+    """A point from the lower branch in place of the upper one: told where it is wanted, left out elsewhere."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    upper = frequency_response(model, laws, [0.160, 0.165, 0.166, 0.167], 7, progress=False)
+    found = [solve_to_accuracy(s.problem, 0.02, s) for s in upper.solutions]
+    lower = None
+    for frequency in (0.18, 0.172, 0.169, 0.166):
+        lower = solve(replace(upper.solutions[2].problem, frequency=frequency), lower)
+    fallen = [*found[:2], replace(found[2], solution=lower), found[3]]
+    frequencies = list(upper.frequencies)
+    assert join_points(upper.solutions, found, frequencies)[1] == []
+    kept, jumps = join_points(upper.solutions, fallen, frequencies)
+    assert kept == fallen
+    assert [jump.frequency for jump in jumps] == [(0.165, 0.166), (0.166, 0.167)]
+    kept, jumps = join_points(upper.solutions, fallen, [0.160, 0.165, 0.167])
+    assert kept == [fallen[0], fallen[1], fallen[3]] and jumps == []
+
+
+def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
+    """As with more modes; a jump told twice would break the curve at a second place."""
+    curve, jump = sweep(accuracy=0.1), Jump((0.1, 0.2), "with more harmonics")
+    monkeypatch.setattr(frequency_sweep, "join_points", lambda points, found, *_: (found, [jump]))
+    problem = curve.solutions[0].problem
+    for _ in range(2):
+        curve = frequency_sweep.refine_response(curve, problem, curve.frequencies, 0.1)
+        assert curve.jumps == (jump,)
+
+
+def test_accurate_curves_are_kept_in_files(tmp_path):
+    """Forces of solutions with different harmonics in one array; each has its own rows."""
+    curve = sweep(accuracy=0.02, folder=tmp_path)
+    with h5py.File(tmp_path / "frequency_response.h5") as file:
+        records = read_records(file["curve_0"])
+        np.testing.assert_array_equal(file["curve_0/table/estimate"][()], curve.table()["estimate"])
+    assert len({len(record.forces) for record in records}) > 1
+    problem = ContactProblem(curve.solutions[0].problem.model, LAWS, 1.0)
+    for record, solution in zip(records, curve.solutions, strict=True):
+        back = restore(replace(problem, frequency=record.frequency), record)
+        assert back.orders == solution.orders
+        np.testing.assert_array_equal(back.output("tip"), solution.output("tip"))
+        assert np.linalg.norm(HarmonicBalance(back.problem.system).residual(pack(back))) < 1e-8
+    with (tmp_path / "frequency_response.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["highest_harmonic"]) for row in rows] == [s.orders[-1] for s in curve.solutions]
+
+
+def pack(solution):
+    return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)
+
+
+def test_a_point_that_crossed_a_fold_is_told_or_left_out():
+    """The upper branch's solution in place of the unstable one: near enough to pass for it but for its side."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    curve = frequency_response(model, laws, np.linspace(0.15, 0.18, 7), 7, progress=False)
+    points = [s for s in curve.solutions if s.side < 0 and 0.1697 < s.problem.frequency < 0.17055]
+    assert len(points) >= 3
+    upper = solve(points[1].problem, max(curve.solutions, key=lambda s: abs(s.output("tip")[1])))
+    assert upper.side == 1 and 0.04 < measure_gap(points[1], upper) < LARGEST_SURPRISE
+    found = [refine_point(s.problem, s, 0.02, 1e-8, 7) for s in points]
+    assert join_points(points, found, []) == (found, [])
+    found[1] = replace(found[1], solution=upper)
+    kept, jumps = join_points(points, found, [])
+    assert kept == [found[0], *found[2:]] and jumps == []
+    kept, (jump, *_) = join_points(points, found, [points[1].problem.frequency])
+    assert kept == found and "this is beyond its fold" in jump.why
+    assert jump.frequency == (points[0].problem.frequency, points[1].problem.frequency)
+
+
+def test_points_of_a_fold_that_lie_close_are_not_solved_again():
+    """Where a solution is wanted it stays, and so do enough of the others for the folds to be seen."""
+    model = stop_oscillator(excitation=0.08, damping=0.04, stop_stiffness=1.0)
+    wanted = list(np.linspace(0.12, 0.22, 21))
+    curve = frequency_response(
+        model, ContactLaws(tangential="frictionless", initial_gap=1.0), wanted, harmonics=9, progress=False
+    )
+    kept = thin_out(curve.solutions, wanted)
+    frequencies = [point.problem.frequency for point in kept]
+    assert set(wanted) <= set(frequencies) and len(wanted) < len(kept) < len(curve.solutions)
+    assert np.count_nonzero(np.diff(np.sign(np.diff(frequencies)))) == 2
+    left_out = [point for point in curve.solutions if point not in kept]
+    for point in left_out:
+        assert min(measure_gap(point, other) for other in kept) <= CLOSE

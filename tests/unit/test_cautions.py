@@ -1,0 +1,52 @@
+"""What a summary warns of: few multiples of the loads' harmonics, a mode without damping that is hit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import friction_oscillator, lift_off_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+
+RUBS = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+
+
+def load_at(harmonic: int, harmonics: int = 5, laws: ContactLaws = RUBS) -> ContactProblem:
+    """The same motion whatever the harmonic, but for the weights: the frequency is so many times lower."""
+    model = friction_oscillator(damping=0.02)
+    model, frequency = replace(model, load={harmonic: model.load[1]}), 0.12 / harmonic
+    return ContactProblem(model, laws, frequency, harmonics, samples=64 * harmonic, closure="dashpot")
+
+
+@pytest.mark.parametrize("harmonic", [2, 3, 4])
+def test_few_multiples_of_a_load_s_harmonic_are_told(harmonic):
+    (told,) = solve(load_at(harmonic)).cautions
+    assert f"all loads act at multiples of harmonic {harmonic}, and few of these are kept" in told
+    assert f"give harmonics = {5 * harmonic} or more" in told
+    advised, usual = solve(load_at(harmonic, 5 * harmonic)), solve(load_at(1))
+    assert advised.cautions == usual.cautions == ()
+    assert advised.output("tip")[harmonic] == pytest.approx(usual.output("tip")[1], rel=0.02)
+
+
+def test_few_multiples_do_where_nothing_rubs_or_opens():
+    assert solve(load_at(3, laws=replace(RUBS, friction=5.0))).cautions == ()
+    both = lift_off_oscillator()
+    assert solve(ContactProblem(replace(both, load=both.load | {3: both.load[1]}), RUBS, 0.1)).cautions == ()
+
+
+def test_an_accuracy_may_take_as_many_multiples_whatever_the_harmonic():
+    tops = [solve_to_accuracy(load_at(h), 1e-6).limit for h in (1, 3)]
+    assert ["harmonic 63 is the highest" in tops[0], "harmonic 189 is the highest" in tops[1]] == [True, True], tops
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_mode_without_damping_that_is_hit_is_told(friction):
+    """Friction that the load overcomes adds no bound; a tenth of a per cent of damping does."""
+    laws = replace(RUBS, friction=friction)
+    for damping, told in ((0.0, True), (0.2, False)):
+        model = ReducedModel([[1.0]], [[damping]], [[1e4]], None, [[1.0]], {1: [1.0]}, outputs={"x": [1.0]})
+        solution = solve(ContactProblem(model, laws, 100 / (2 * np.pi)))
+        assert told == any("harmonic 1 hits a mode without damping" in line for line in solution.cautions)
+        assert (abs(solution.output("x")[1]) > 1.0) == told
