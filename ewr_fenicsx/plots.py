@@ -363,7 +363,7 @@ def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cel
         )
         axes.plot(*np.transpose([tail, head + 0.1 * (head - tail)]), alpha=0)  # makes room for the arrow
         time = f" at {_say_frequency(scene, load.harmonic)} Hz" if pulsating else ", static"
-        axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:g} N{time}")
+        axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:.4g} N{time}")
 
 
 def _point_inwards(edge: RealArray, cells: Cells) -> RealArray:

@@ -170,13 +170,13 @@ def evolve_wear(
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
     check_problem(problem)
-    rates = read_coefficient(problem, coefficient)
     if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
         raise ModelError(
             f"cycles = {cycles!r}, keep_every = {keep_every!r}, checkpoint_every = {checkpoint_every!r}; give whole "
             "numbers from 1"
         )
     cycles, keep_every = int(cycles), int(keep_every)
+    rates = read_coefficient(problem, coefficient)
     if not (deepest is None or is_positive(deepest)):
         raise ModelError(f"deepest = {deepest}; give a positive depth [m], or None")
     if not (jump is None or isinstance(jump, Tolerance)):
