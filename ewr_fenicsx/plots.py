@@ -159,14 +159,17 @@ def draw_mode(path: Path, chain: Chain) -> None:
 
 
 def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
-    """Forces and motions over the period, a column for each flank, of the pairs whose laws know of them."""
+    """Forces and motions over the period, a column for each flank, of the pairs whose laws know of them.
+
+    Slip is drawn about its mean: that of the mean load may be far larger, and nothing rubs by it.
+    """
     rows = [
         (name, label, factor)
         for name, label, factor in (
             ("normal_force", "normal force [N]", 1.0),
             ("friction_force", "friction force [N]", 1.0),
             ("gap", "gap [µm]", 1e6),
-            ("slip", "slip [µm]", 1e6),
+            ("slip", "slip about its mean [µm]", 1e6),
         )
         if name in list_histories(solution)
     ]
@@ -179,6 +182,8 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
     for line, (name, label, factor) in zip(grid, rows, strict=True):
         knows = find_pairs_with(solution, name)
         history = factor * solution.history(name, SAMPLES) * knows
+        if name == "slip":
+            history = history - history.mean(axis=0)
         for k, axes in enumerate(line):
             for place, pair in _along(interface, k, knows):
                 axes.plot(phase, history[:, pair], color=_COLOURS.to_rgba(place), linewidth=1.0)
