@@ -57,7 +57,7 @@ def refine_points(
     Returns:
         A solution a point. One without a solution of more harmonics keeps its own, and says so in its ``limit``.
     """
-    starts = range(0, len(points), GROUP)
+    accuracy, starts = float(accuracy), range(0, len(points), GROUP)
     store = None
     if folder is not None:
         begun = [(p.problem.frequency, p.problem.harmonics, p.forces, p.rigid) for p in points]
