@@ -143,7 +143,8 @@ class PeriodicSolution(PeriodicMotion):
 
     def _list_few_multiples(self) -> list[str]:
         """Where loads at high harmonics leave few of their multiples: a number of harmonics counts all of them."""
-        base = int(np.gcd.reduce([h for h, f in self.problem.excitation.items() if h and np.any(f)] or [1]))
+        given = [*self.problem.excitation.items(), *self.problem.given_force.items()]
+        base = int(np.gcd.reduce([h for h, f in given if h and np.any(f)] or [1]))
         kept = [h for h in self.orders if h and h % base == 0]
         rubs = self.merit["friction_dissipation"] > LITTLE_EXCHANGE * self._swinging
         if base == 1 or len(kept) >= FEW_MULTIPLES or not (rubs or self._taps):
@@ -153,17 +154,15 @@ class PeriodicSolution(PeriodicMotion):
 
     def _list_hit_modes(self) -> list[str]:
         """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""
-        model, lines = self.problem.model, []
-        for h, x in zip(self.orders, self.coordinates, strict=True):
-            rate = h * self.problem.omega
-            strain, inertia = (float((x.conj() @ K @ x).real) for K in (model.stiffness, rate**2 * model.mass))
-            left = abs(strain - inertia + 1j * rate * (x.conj() @ model.damping @ x))
-            if h and left < HIT * max(strain, inertia):
-                lines.append(
-                    f"harmonic {h} hits a mode without damping, and rounding decides how far it swings: add damping, "
-                    "or move the frequency"
-                )
-        return lines
+        model, x, rate = self.problem.model, self.coordinates, self._rate
+        strain, inertia = x @ model.stiffness.T, rate**2 * (x @ model.mass.T)
+        left, size = (np.linalg.norm(f, axis=1) for f in (strain + inertia + rate * (x @ model.damping.T), strain))
+        return [
+            f"harmonic {h} hits a mode without damping, and rounding decides how far it swings: add damping, or "
+            "move the frequency"
+            for h, hit in zip(self.orders, left < HIT * size, strict=True)
+            if h and hit
+        ]
 
     def list_reservations(self) -> list[str]:
         """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""

@@ -50,3 +50,19 @@ def test_a_mode_without_damping_that_is_hit_is_told(friction):
         solution = solve(ContactProblem(model, laws, 100 / (2 * np.pi)))
         assert told == any("harmonic 1 hits a mode without damping" in line for line in solution.cautions)
         assert (abs(solution.output("x")[1]) > 1.0) == told
+
+
+def test_a_load_that_stands_still_is_no_mode_that_is_hit():
+    """A tuned absorber without damping: the dynamic stiffness does no work, and is there all the same."""
+    stiffness = [[3.0, -1.0, -1.0], [-1.0, 1.0, 0.0], [-1.0, 0.0, 2.0]]
+    model = ReducedModel(np.eye(3), np.zeros((3, 3)), stiffness, None, [[0, 0, 1.0]], {1: [1.0, 0, 0]}, outputs={})
+    solution = solve(ContactProblem(model, RUBS, 1 / (2 * np.pi)))
+    np.testing.assert_allclose(solution.coordinates[1], [0.0, -1.0, 0.0], atol=1e-6)
+    assert not any("without damping" in line for line in solution.cautions)
+
+
+def test_a_limit_that_swings_counts_as_what_acts_at_its_harmonic():
+    model = friction_oscillator(damping=0.02)
+    laws = replace(RUBS, normal_force={0: 1.0, 1: 0.6})
+    swings = ContactProblem(replace(model, load={2: model.load[1]}), laws, 0.06)
+    assert not any("multiples of harmonic" in line for line in solve(swings).cautions)
