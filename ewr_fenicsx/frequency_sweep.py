@@ -29,7 +29,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
 from ewr_fenicsx.newton import adopt_weights, solve, went_back
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
-from ewr_fenicsx.refining import join_points, refine_points, thin_out
+from ewr_fenicsx.refining import join_points, leave_out_close, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import (
     Record,
@@ -277,12 +277,17 @@ def frequency_response(
             points = [include_idle(s, posed) for s, posed in zip(points, whole, strict=True)]
         curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
-            posed = follower.problem_at(targets[0])
-            shared = {"modes": modes, "folder": folder, "comm": comm, "progress": progress}
-            curves[label] = refine_response(curves[label], posed, targets, accuracy, tolerance, **shared)
+            begun = curves[label] if refine else thin_out(curves[label], targets)
+            posed, shared = follower.problem_at(targets[0]), {"comm": comm, "progress": progress, "folder": folder}
+            curves[label] = refine_response(begun, posed, targets, accuracy, tolerance, modes=modes, **shared)
     if store:
         do_on_rank_zero(lambda: _write_results(store.folder, curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
+
+
+def thin_out(curve: FrequencyResponse, frequencies: Sequence[float]) -> FrequencyResponse:
+    """The curve without points of its folds that lie close to others; those at ``frequencies`` stay."""
+    return replace(curve, solutions=tuple(leave_out_close(curve.solutions, frequencies)))
 
 
 def refine_response(
@@ -309,9 +314,10 @@ def refine_response(
     Raises:
         ModelError: The accuracy is not between 0 and 1.
     """
-    shared = {"modes": modes, "folder": folder, "comm": comm, "progress": progress}
-    points = thin_out(curve.solutions, frequencies)
-    found = refine_points(problem, points, accuracy, tolerance, **shared)
+    points = curve.solutions
+    found = refine_points(
+        problem, points, accuracy, tolerance, modes=modes, folder=folder, comm=comm, progress=progress
+    )
     found, jumps = join_points(points, found, frequencies, tolerance)
     jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
     return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), curve.missing, tuple(found))

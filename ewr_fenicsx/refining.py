@@ -88,7 +88,7 @@ def refine_points(
     ]
 
 
-def thin_out(points: Sequence[PeriodicSolution], frequencies: Sequence[float]) -> list[PeriodicSolution]:
+def leave_out_close(points: Sequence[PeriodicSolution], frequencies: Sequence[float]) -> list[PeriodicSolution]:
     """The points of a curve that are worth solving again: where a solution is wanted, and others that lie apart.
 
     With few harmonics a curve may wriggle, and following it round each of its corners takes many points.

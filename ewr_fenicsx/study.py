@@ -219,8 +219,9 @@ def _refine(
 ) -> tuple[Chain, FrequencyResponse]:
     """The curve with every solution as accurate as asked, and with as many modes as that takes at any of them."""
     from ewr_fenicsx.accuracy import raise_modes
-    from ewr_fenicsx.frequency_sweep import refine_response
+    from ewr_fenicsx.frequency_sweep import refine_response, thin_out
 
+    curve = thin_out(curve, chain.scene.frequencies)
     asked, modes = chain.scene.solver, _Modes(chain, watch)
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
     shown = watch.progress is not None

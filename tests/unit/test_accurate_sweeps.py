@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 from small_models import lift_off_oscillator, stop_oscillator
+from test_frequency_response import FREQUENCIES, LAWS, sweep
 
 from ewr_fenicsx import (
     ContactLaws,
@@ -23,16 +24,8 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance
 from ewr_fenicsx.following import LARGEST_SURPRISE, Jump
-from ewr_fenicsx.refining import CLOSE, join_points, measure_gap, refine_point, thin_out
+from ewr_fenicsx.refining import CLOSE, join_points, leave_out_close, measure_gap, refine_point
 from ewr_fenicsx.solution_store import read_records, restore
-
-LAWS = ContactLaws(friction=0.3)
-FREQUENCIES = np.linspace(0.08, 0.4, 9)
-
-
-def sweep(frequencies=FREQUENCIES, laws=LAWS, **settings):
-    model = lift_off_oscillator(excitation=0.6, damping=0.1)
-    return frequency_response(model, laws, frequencies, harmonics=5, progress=False, **settings)
 
 
 def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
@@ -231,10 +224,17 @@ def test_points_of_a_fold_that_lie_close_are_not_solved_again():
     curve = frequency_response(
         model, ContactLaws(tangential="frictionless", initial_gap=1.0), wanted, harmonics=9, progress=False
     )
-    kept = thin_out(curve.solutions, wanted)
+    kept = leave_out_close(curve.solutions, wanted)
     frequencies = [point.problem.frequency for point in kept]
     assert set(wanted) <= set(frequencies) and len(wanted) < len(kept) < len(curve.solutions)
     assert np.count_nonzero(np.diff(np.sign(np.diff(frequencies)))) == 2
     left_out = [point for point in curve.solutions if point not in kept]
     for point in left_out:
         assert min(measure_gap(point, other) for other in kept) <= CLOSE
+
+
+def test_points_that_were_asked_for_between_the_frequencies_are_kept():
+    """``refine`` promises how far neighbours may be apart."""
+    coarse, curve = (sweep(FREQUENCIES[:4], refine=0.05, **settings) for settings in ({}, {"accuracy": 0.05}))
+    np.testing.assert_array_equal(curve.frequencies, coarse.frequencies)
+    assert len(leave_out_close(coarse.solutions, FREQUENCIES[:4])) < len(coarse.solutions), "or it proves nothing"
