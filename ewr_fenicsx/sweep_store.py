@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from ewr_fenicsx.accuracy import AccurateSolution, Level
@@ -35,8 +38,8 @@ class Block:
 
 
 @dataclass(frozen=True)
-class BlockStore:
-    """Finished blocks of one sweep.
+class _Store:
+    """Finished pieces of one sweep, a file each.
 
     Args:
         folder: That of the sweep.
@@ -46,9 +49,22 @@ class BlockStore:
     folder: Path
     stated: str
 
+    def _place(self, name: str) -> Path:
+        return self.folder / FILES.replace("*", name)
+
+    @contextmanager
+    def _create(self, path: Path) -> Iterator[h5py.File]:
+        with replace_file(path) as file:
+            file.attrs["format"], file.attrs["stated"] = FORMAT, self.stated
+            yield file
+
+
+class BlockStore(_Store):
+    """Finished blocks; those of another sweep are refused."""
+
     def find_path(self, block: Block) -> Path:
         """Where a block is or will be."""
-        return self.folder / FILES.replace("*", f"{block.curve:03d}_{block.number:04d}")
+        return self._place(f"{block.curve:03d}_{block.number:04d}")
 
     def write(self, block: Block, records: list[Record], jumps: list[Jump]) -> None:
         """Write the solutions of a block and where its curve is broken.
@@ -56,8 +72,7 @@ class BlockStore:
         Raises:
             UnwritableFile: It cannot be written.
         """
-        with replace_file(self.find_path(block)) as file:
-            file.attrs["format"], file.attrs["stated"] = FORMAT, self.stated
+        with self._create(self.find_path(block)) as file:
             if records:
                 write_records(file.create_group("points"), records)
             file["jumps"] = np.array([jump.frequency for jump in jumps]).reshape(-1, 2)
@@ -82,21 +97,12 @@ class BlockStore:
             return records, jumps
 
 
-@dataclass(frozen=True)
-class GroupStore:
-    """Finished groups of points that are as accurate as asked; what others have left in the folder is not looked at.
-
-    Args:
-        folder: That of the sweep.
-        stated: Fingerprint of all that decides on the result.
-    """
-
-    folder: Path
-    stated: str
+class GroupStore(_Store):
+    """Finished groups of points that are as accurate as asked; those of another sweep are not looked at."""
 
     def find_path(self, group: int) -> Path:
         """Where a group is or will be."""
-        return self.folder / FILES.replace("*", f"accurate_{self.stated[:16]}_{group:04d}")
+        return self._place(f"accurate_{self.stated[:16]}_{group:04d}")
 
     def write(self, group: int, found: list[tuple[Record, AccurateSolution]]) -> None:
         """Write the solutions of a group, and how accurate they are.
@@ -104,8 +110,7 @@ class GroupStore:
         Raises:
             UnwritableFile: It cannot be written.
         """
-        with replace_file(self.find_path(group)) as file:
-            file.attrs["format"], file.attrs["stated"] = FORMAT, self.stated
+        with self._create(self.find_path(group)) as file:
             write_records(file.create_group("points"), [record for record, _ in found])
             file["accuracy"] = [json.dumps(asdict(replace(accurate, solution=None))) for _, accurate in found]
 

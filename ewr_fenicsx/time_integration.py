@@ -208,7 +208,10 @@ class SteadyState:
             start += pairs.size
 
     def measure_energy(self) -> dict[str, float]:
-        """Works over the last period [J], which add up to zero to rounding with ``theta = 1/2``.
+        """Works over the last period [J].
+
+        They add up to zero to rounding with ``theta = 1/2``, but for what modes without mass or too fast for the step
+        lose to a ``theta`` of their own, which falls with the step.
 
         Returns:
             ``"excitation"`` done by the load; ``"stored"`` gained by the structure, zero in the steady state;

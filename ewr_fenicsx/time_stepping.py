@@ -200,7 +200,7 @@ class TimeScheme:
         impulses = np.empty((self.steps, m))
         positions[0], velocities[0] = position, velocity
         taken, unsolved = compile_loop()(
-            self.theta, self.thetas, np.flatnonzero(self.thetas != self.theta), self.dt,
+            self.theta, self.thetas, self.dt,
             self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
             self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.twin,
             self.friction, self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
@@ -210,18 +210,18 @@ class TimeScheme:
 
 
 def step_through_period(
-    theta, thetas, fast, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order,
+    theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order,
     kind, partner, twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
 ):  # fmt: skip
     """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
 
-    ``fast`` lists the modes with another ``theta`` than most. ``order`` lists the rows one after the other, but for
-    second tangents under friction: those are solved for together with their ``twin``, the first one. Where the pair
-    does not stick, one step of projected gradient has to do.
+    ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
+    with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
     """
     steps, m = impulses.shape
     n = positions.shape[1]
     dense = keep_dense.shape[0] > 0
+    fast = np.flatnonzero(thetas != theta)
     x, v = positions[0].copy(), velocities[0].copy()
     free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
     u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
@@ -321,22 +321,8 @@ def compile_loop():
     except ImportError as missing:
         raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
     vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
-    arguments = [
-        "f8",
-        vector,
-        index,
-        "f8",
-        vector,
-        vector,
-        *[matrix] * 6,
-        *[index] * 4,
-        vector,
-        vector,
-        matrix,
-        vector,
-        "f8",
-        "i8",
-    ]
+    arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, *[index] * 4, vector, vector, matrix, vector]
+    arguments += ["f8", "i8"]
     signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
     try:
         return numba.njit(signature, cache=True)(step_through_period)

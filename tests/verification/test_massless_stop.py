@@ -1,0 +1,62 @@
+"""A springy stop stepped in time: its massless end does not ring, and a motion from rest leaves its gap open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_models import stop_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.time_integration import integrate
+
+STOP = ContactLaws(tangential="frictionless", initial_gap=1.0)
+
+
+@pytest.mark.parametrize("start", [None, "rest", "solution"])
+@pytest.mark.parametrize("steps", [400, 1024])
+def test_a_stop_without_mass_does_not_ring(start, steps):
+    """With theta = 1/2 for all, nothing would damp what contact excites at its end from step to step."""
+    problem = ContactProblem(stop_oscillator(), STOP, 0.16, 21)
+    found = solve(problem)
+    steady = integrate(problem, found if start == "solution" else start, steps=steps, periods=120)
+    assert steady.converged
+    assert abs(steady.output("tip")[1]) == pytest.approx(abs(found.output("tip")[1]), rel=5e-4)
+    assert np.abs(np.diff(steady.history("normal_force"), n=2, axis=0)).max() < 0.02, "or it does"
+
+
+@pytest.mark.parametrize("stop_mass", [0.0, 1e-6, 0.1])
+def test_a_motion_from_rest_begins_with_open_gaps(stop_mass):
+    """Not with bodies drawn together across a clearance; until the gap closes, against the equation without a stop."""
+    model = stop_oscillator(excitation=0.05)
+    model = replace(model, mass=np.diag([1.0, stop_mass]))
+    problem = ContactProblem(model, STOP, 0.16, 5)
+    exact = solve_ivp(
+        lambda t, y: [y[1], (0.05 * np.cos(problem.omega * t) - 0.04 * y[1] - y[0]) / (1.0 + stop_mass)],
+        (0.0, 1 / 0.16),
+        [0.0, 0.0],
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    for start in (None, "rest"):
+        moved = integrate(problem, start, steps=2000, periods=1, tolerance=0)
+        assert moved.history("normal_force").max() == 0.0
+        assert moved.transient("tip")[0] == pytest.approx(0.0, abs=1e-12)
+        assert moved.transient("tip")[-1] == pytest.approx(exact.y[0, -1], rel=1e-3 if stop_mass < 0.1 else 0.05)
+
+
+def test_a_mean_load_closes_the_gap_at_rest():
+    """The stop's end at the wall, the mass held by both springs."""
+    model = replace(stop_oscillator(), load={0: [3.0, 0.0], 1: [0.01, 0.0]})
+    moved = integrate(ContactProblem(model, STOP, 0.16, 5), "rest", steps=500, periods=1, tolerance=0)
+    assert moved.transient("tip")[0] == pytest.approx(2.0, rel=1e-6)  # 3 = x + (x - 1)
+    assert moved.history("normal_force")[0, 0] == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_light_contact_node_that_never_settles_is_told_with_a_remedy():
+    heavy = replace(stop_oscillator(), mass=np.diag([1.0, 0.01]))
+    ringing = integrate(ContactProblem(heavy, STOP, 0.16, 21), steps=1024, periods=40)
+    assert not ringing.converged and "theta = 0.52 damps that" in ringing.reason
+    assert "theta" not in integrate(ringing.problem, steps=64, periods=3, tolerance=0).reason, "a transient was asked"
