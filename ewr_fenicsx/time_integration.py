@@ -264,8 +264,8 @@ def integrate(
         problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
         start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
             another result; ``"rest"``: the static full-stick state under the mean load, without velocity, or where
-            there is a clearance, which full stick would close, the static solution of the laws; None: the full-stick
-            periodic state, or that rest.
+            there is a clearance, which full stick would close, the static solution of the laws; None: that solution
+            where there is a clearance, if it is found, else the full-stick periodic state.
         steps: Steps a period.
         periods: Most periods to step.
         tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the
@@ -285,8 +285,8 @@ def integrate(
         The last period. Not steady, or not solved, is said by ``converged`` and ``reason``.
 
     Raises:
-        ModelError: The problem has no period, the start does not fit it, ``steps``, ``periods`` or ``sweeps`` is no
-            whole number from one, the steps are too few for the harmonics, or a tolerance is negative or no number.
+        ModelError: The problem has no period, the start does not fit it or there is no ``"rest"``, ``steps``,
+            ``periods`` or ``sweeps`` is no whole number from one, the steps are too few for the harmonics, or a tolerance is negative or no number.
     """
     check_problem(problem)
     for name, count in (("periods", periods), ("sweeps", sweeps)):
@@ -351,7 +351,7 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
     """State at ``tau = 0`` that ``start`` stands for; see ``integrate``.
 
     Raises:
-        ModelError: An unknown word, or a state of another size than the model's.
+        ModelError: An unknown word, no rest was found, or a state of another size than the model's.
     """
     if isinstance(start, State):
         state = start
@@ -359,9 +359,12 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
         apart = bool(np.any(problem.clearance > 0))
-        found = find_rest(problem) if apart else find_full_stick(problem)
+        at_rest = find_rest(problem) if apart else None
+        if start == "rest" and apart and not at_rest:
+            raise ModelError(f'start = "rest": no static solution was found across the clearances; {_STARTS}')
+        found = at_rest or find_full_stick(problem)
         rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
-        state = rest if apart or start == "rest" else state_of(found)
+        state = rest if at_rest or start == "rest" else state_of(found)
     elif isinstance(start, PeriodicSolution):
         state = state_of(start)
     else:
@@ -381,14 +384,25 @@ def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
     return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
 
 
-def find_rest(problem: ContactProblem) -> PeriodicSolution:
-    """The static solution of the laws under the mean load; where there is none, full stick."""
-    static = replace(problem, load={h: f for h, f in problem.loads.items() if h == 0})
+def find_rest(problem: ContactProblem) -> PeriodicSolution | None:
+    """The static solution of the laws under the means of the load and of normal forces that are given, if found."""
+    static = keep_means(problem)
     balance = HarmonicBalance(static.system)
     found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
     if not found.converged:
-        return find_full_stick(problem)
+        return None
     return PeriodicSolution(static, *balance.unpack(found.unknowns), True, "at rest", 0, (), found.residual, 0.0, 0)
+
+
+def keep_means(problem: ContactProblem) -> ContactProblem:
+    """The problem without all that oscillates in what is given: loads and prescribed normal forces."""
+    groups = [
+        (pairs, replace(laws, normal_force=laws.normal_force.get(0, 0.0)))
+        if isinstance(laws.normal_force, Mapping)
+        else (pairs, laws)
+        for pairs, laws in problem.groups
+    ]
+    return replace(problem, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
 
 
 def state_of(solution: PeriodicSolution) -> State:

@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, solve, time_integration
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.time_integration import integrate
 
 STOP = ContactLaws(tangential="frictionless", initial_gap=1.0)
@@ -53,6 +54,24 @@ def test_a_mean_load_closes_the_gap_at_rest():
     moved = integrate(ContactProblem(model, STOP, 0.16, 5), "rest", steps=500, periods=1, tolerance=0)
     assert moved.transient("tip")[0] == pytest.approx(2.0, rel=1e-6)  # 3 = x + (x - 1)
     assert moved.history("normal_force")[0, 0] == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_given_normal_force_is_at_its_mean_at_rest():
+    """What of it oscillates begins with the motion: 3 = x + (x - 1), as under a load."""
+    model = replace(stop_oscillator(), normal=[[0.0, -1.0], [1.0, 0.0]], pair_area=None)
+    pushed = ContactLaws("prescribed", "frictionless", normal_force={0: 3.0, 1: 2.0})
+    problem = ContactProblem(model, [([0], STOP), ([1], pushed)], 0.16, 5)
+    moved = integrate(problem, "rest", steps=500, periods=1, tolerance=0)
+    assert moved.transient("tip")[0] == pytest.approx(2.0, rel=1e-6)
+
+
+def test_where_no_rest_is_found_it_is_told_and_not_made_up(monkeypatch):
+    """By default a motion then begins at full stick, which is a start as good as others."""
+    problem = ContactProblem(stop_oscillator(), STOP, 0.16, 5)
+    monkeypatch.setattr(time_integration, "find_rest", lambda problem: None)
+    with pytest.raises(ModelError, match="no static solution was found across the clearances; give"):
+        integrate(problem, "rest", steps=100, periods=1)
+    assert integrate(problem, steps=100, periods=1, tolerance=0).periods == 1
 
 
 def test_a_light_contact_node_that_never_settles_is_told_with_a_remedy():
