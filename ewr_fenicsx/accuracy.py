@@ -132,7 +132,7 @@ def solve_to_accuracy(
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
         first: Highest harmonic of the first solve, unless loads need more.
-        highest: Highest harmonic that may be used; None: 63 times the lowest that is loaded.
+        highest: Highest harmonic that may be used; None: 63 times the lowest that is loaded, or twice the highest.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by the modes left out
             can be estimated. Empty: that error is not looked at.
@@ -153,17 +153,18 @@ def solve_to_accuracy(
     check_accuracy(accuracy)
     check_problem(problem)
     modes = read_modes(modes, problem.model.size)
-    loaded = [h for h, f in problem.excitation.items() if np.any(f)]
-    highest = MOST_HARMONICS * min((h for h in loaded if h), default=1) if highest is None else highest
+    driven = [h for h in problem.driven if h]
+    if highest is None:
+        highest = max(MOST_HARMONICS * min(driven, default=1), 2 * max(driven, default=1))
     for name, count in (("first", first), ("highest", highest), ("most_unknowns", most_unknowns)):
         if not is_whole(count, 1):
             raise ModelError(f"{name} = {count!r}; give a whole number from 1")
     if not (figure is None or callable(figure)):
         raise ModelError(f"figure = {figure!r}; give a function of a solution that returns an array, or None")
     begin = time.perf_counter()
-    if max(loaded, default=0) > highest:
-        raise ModelError(f"highest = {highest}; loads act at harmonic {max(loaded)}: allow at least that")
-    top = min(int(highest), max([int(first), *(2 * h for h in loaded if h > 1)]))
+    if max(driven, default=0) > highest:
+        raise ModelError(f"highest = {highest}; loads act at harmonic {max(driven)}: allow at least that")
+    top = min(int(highest), max([int(first), *(2 * h for h in driven if h > 1)]))
     density, dropped = float(SAMPLES), frozenset()
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow

@@ -201,6 +201,12 @@ class ContactProblem:
         return given
 
     @cached_property
+    def driven(self) -> tuple[int, ...]:
+        """Harmonics of all that is given: loads, and normal forces, also those that do not act on the model."""
+        given = (*self.loads.items(), *self.given_force.items())
+        return tuple(sorted({h for h, amplitude in given if np.any(amplitude)}))
+
+    @cached_property
     def excitation(self) -> Mapping[int, ComplexArray]:
         """Harmonic -> ``(n,)`` amplitudes of all that is given on the model: loads, and normal forces [N]."""
         total = dict(self.loads)

@@ -123,8 +123,8 @@ def list_settings(
         orders: Highest harmonics to try.
         fixed: Highest harmonic where another knob is turned.
     """
-    loaded = max([h for h, f in problem.loads.items() if np.any(f)], default=1)
-    orders, fixed = [n for n in orders if n >= loaded], max(fixed, loaded)
+    driven = max(problem.driven, default=1)
+    orders, fixed = [n for n in orders if n >= driven], max(fixed, driven)
     usual = replace(problem, harmonics=fixed, samples=None)
     settings = [Setting("N", n, replace(usual, harmonics=n)) for n in orders]
     low = [n for n in orders if n <= HIGHEST_VARIANT]

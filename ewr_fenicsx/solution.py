@@ -143,8 +143,7 @@ class PeriodicSolution(PeriodicMotion):
 
     def _list_few_multiples(self) -> list[str]:
         """Where loads at high harmonics leave few of their multiples: a number of harmonics counts all of them."""
-        given = [*self.problem.excitation.items(), *self.problem.given_force.items()]
-        base = int(np.gcd.reduce([h for h, f in given if h and np.any(f)] or [1]))
+        base = int(np.gcd.reduce([h for h in self.problem.driven if h] or [1]))
         kept = [h for h in self.orders if h and h % base == 0]
         rubs = self.merit["friction_dissipation"] > LITTLE_EXCHANGE * self._swinging
         if base == 1 or len(kept) >= FEW_MULTIPLES or not (rubs or self._taps):

@@ -89,8 +89,7 @@ class TimeScheme:
             raise ModelError(f"steps = {steps!r}; give a whole number of steps a period, at least one")
         if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
             raise ModelError(f"theta = {theta!r}; from 1/2 (conserves energy) to 1 (damps); less than 1/2 is unstable")
-        given = (h for h, amplitude in problem.given_force.items() if np.any(amplitude))
-        if steps <= 2 * (highest := max(*problem.basis.orders, 0, *given)):
+        if steps <= 2 * (highest := max(*problem.basis.orders, 0, *problem.driven)):
             raise ModelError(f"steps = {steps} cannot resolve harmonic {highest}; give at least {2 * highest + 1}")
         self.problem, self.steps, self.theta = problem, int(steps), float(theta)
         self.dt = 1 / (problem.frequency * steps)

@@ -271,6 +271,24 @@ def test_harmonics_of_given_normal_forces_are_kept():
     assert max(solve_to_accuracy(posed, 0.01, highest=6).solution.orders) == 6
 
 
+def test_loads_far_above_the_lowest_are_kept_without_being_asked_for():
+    """Harmonic 70 is beyond 63 times the lowest load."""
+    model = friction_oscillator()
+    load = {1: model.load[1], 70: 10 * model.load[1]}
+    posed = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.4), 0.1, 70, load=load)
+    found = solve_to_accuracy(posed, 0.03)
+    assert found.reached and 70 in found.solution.orders
+
+
+def test_a_limit_of_friction_that_swings_is_sampled_from_the_first_solve_on():
+    """By a normal force that does not act on the model: 64 samples could not tell its harmonic 40 from a lower one."""
+    laws = ContactLaws("prescribed", normal_force={0: 1.0, 40: 0.5}, friction=0.4)
+    posed = ContactProblem(friction_oscillator(), laws, 0.1)
+    found = solve_to_accuracy(posed, 0.03)
+    truth = solve(replace(posed, harmonics=160, samples=4096))
+    assert found.reached and measure_distance(found.solution, truth) <= 0.03
+
+
 @pytest.mark.parametrize("accuracy", [0.0, 1.0, -0.1, np.nan, None, "x"])
 def test_an_accuracy_that_is_none_is_refused(accuracy):
     with pytest.raises(ModelError, match=f"accuracy = {accuracy!r}; give a relative error between 0 and 1"):
