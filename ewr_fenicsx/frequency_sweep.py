@@ -304,6 +304,8 @@ def refine_response(
 ) -> FrequencyResponse:
     """A curve whose every solution is as accurate as asked; collective. What could not be reached, ``accurate`` says.
 
+    Frequencies at which no solution was found on the problem's model are among those ``missing``.
+
     Args:
         curve: Solutions from which to start.
         problem: What they solve, at any frequency; its model may have more modes than theirs.
@@ -318,9 +320,13 @@ def refine_response(
     found = refine_points(
         problem, points, accuracy, tolerance, modes=modes, folder=folder, comm=comm, progress=progress
     )
+    solved = [(point, here) for point, here in zip(points, found, strict=True) if here.solution.converged]
+    points, found = [point for point, _ in solved], [here for _, here in solved]
+    known = {point.problem.frequency for point in points}
+    missing = sorted({*curve.missing, *(f for f in frequencies if f not in known)})
     found, jumps = join_points(points, found, frequencies, tolerance)
     jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
-    return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), curve.missing, tuple(found))
+    return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), tuple(missing), tuple(found))
 
 
 def _solve_block(follower: Follower, block: Block, store: BlockStore | None) -> tuple[list[Record], list[Jump]]:

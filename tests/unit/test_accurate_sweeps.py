@@ -195,6 +195,22 @@ def test_accurate_curves_are_kept_in_files(tmp_path):
     assert [int(row["highest_harmonic"]) for row in rows] == [s.orders[-1] for s in curve.solutions]
 
 
+def test_a_point_without_any_solution_on_the_model_is_missing(monkeypatch):
+    """With more modes than the curve that it comes from had, not even its own harmonics may lead to one."""
+    refine_one, lost = refining.refine_point, FREQUENCIES[3]
+
+    def fail_there(problem, *arguments):
+        found = refine_one(problem, *arguments)
+        there = problem.frequency == lost
+        return replace(found, solution=replace(found.solution, converged=False)) if there else found
+
+    monkeypatch.setattr(refining, "refine_point", fail_there)
+    curve = sweep(accuracy=0.02)
+    assert curve.missing == (lost,) and lost not in curve.frequencies
+    assert len(curve.solutions) == len(FREQUENCIES) - 1 == len(curve.accurate)
+    assert all(s.converged for s in curve.solutions)
+
+
 def pack(solution):
     return HarmonicBalance(solution.problem.system).pack(solution.forces, solution.rigid)
 
