@@ -30,6 +30,7 @@ from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.solution import PeriodicSolution
 
 SAMPLES = 1024
+ALIKE = 1e-3  # of the largest value, that curves drawn as one lie apart at most
 DPI = 150
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
 LEAST = {
@@ -263,7 +264,7 @@ def draw_curves(
     breaks: Sequence[int] = (),
     unstable: np.ndarray | None = None,
 ) -> None:
-    """Some figures along a sweep or over cycles, one line each.
+    """Some figures along a sweep or over cycles, one line each; those that coincide, as by symmetry, share one.
 
     Args:
         path: Of the picture.
@@ -277,8 +278,8 @@ def draw_curves(
     empty = {"marker": "o", "markersize": 3.5, "markerfacecolor": "white"}
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
-    for k, (name, values) in enumerate(series.items()):
-        colour, values = FLANK_COLOURS[k % len(FLANK_COLOURS)], np.asarray(values)
+    for k, (name, values) in enumerate(_join_alike(series)):
+        colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
         axes.plot([], [], ".-", color=colour, linewidth=1.2, label=name)
         for style, run in _cut_into_lines(breaks, hollow):
             axes.plot(x[run], values[run], style, color=colour, linewidth=1.2)
@@ -293,6 +294,19 @@ def draw_curves(
     if len(series) > 1 or np.any(hollow):
         axes.legend()
     figure.savefig(path, dpi=DPI)
+
+
+def _join_alike(series: Mapping[str, RealArray]) -> list[tuple[str, RealArray]]:
+    """Names and values of curves; of those that nobody could tell apart one, under the names of all."""
+    joined: list[tuple[str, RealArray]] = []
+    for name, values in ((name, np.asarray(values)) for name, values in series.items()):
+        like = (i for i, (_, known) in enumerate(joined) if np.abs(known - values).max() <= ALIKE * np.abs(known).max())
+        at = next(like, None)
+        if at is None:
+            joined.append((name, values))
+        else:
+            joined[at] = f"{joined[at][0]}\n= {name}", joined[at][1]
+    return joined
 
 
 def _cut_into_lines(breaks: Sequence[int], unstable: np.ndarray) -> list[tuple[str, slice]]:

@@ -286,7 +286,8 @@ def integrate(
 
     Raises:
         ModelError: The problem has no period, the start does not fit it or there is no ``"rest"``, ``steps``,
-            ``periods`` or ``sweeps`` is no whole number from one, the steps are too few for the harmonics, or a tolerance is negative or no number.
+            ``periods`` or ``sweeps`` is no whole number from one, the steps are too few for the harmonics, or a
+            tolerance is negative or no number.
     """
     check_problem(problem)
     for name, count in (("periods", periods), ("sweeps", sweeps)):

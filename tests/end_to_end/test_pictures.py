@@ -150,6 +150,16 @@ def test_the_unit_of_curves_stands_at_their_axis(monkeypatch, tmp_path, series, 
     assert axes.get_ylabel() == label and (axes.get_legend() is not None) == told
 
 
+def test_curves_that_coincide_are_one_under_both_names(monkeypatch, tmp_path):
+    """As of flanks that are each other's mirror image, where the last would hide all others."""
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    series = {"left": [1.0, 2.0], "right": [1.0, 2.0001], "deepest": [1.0, 2.1]}
+    plots.draw_curves(tmp_path / "curves.png", "cycles", np.array([0.0, 1.0]), series)
+    told = [text.get_text() for text in figures[0].axes[0].get_legend().get_texts()]
+    assert told == ["left\n= right", "deepest"]
+
+
 def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
     text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
     (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
