@@ -129,6 +129,7 @@ class Follower:
         refine: Largest relative change of state between neighbouring points that are kept, or None: only the targets
             are kept.
         tolerance: As in ``solve``.
+        tell: What is called now and then where a branch turns back, with a few words on how far it has been traced.
     """
 
     problem_at: Callable[[float], ContactProblem]
@@ -136,6 +137,7 @@ class Follower:
     highest: float
     refine: float | None = None
     tolerance: float = 1e-8
+    tell: Callable[[str], None] = lambda note: None
 
     def follow(self, start: Sequence[PeriodicSolution], targets: Sequence[float]) -> Curve:
         """The branch from its last point or points to each of the rising ``targets`` in turn; these left out."""
@@ -211,6 +213,7 @@ class Follower:
         """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there."""
         for stray in STRAYS:
             points, why = self._trace_arc(here, before, target, stray)
+            self.tell("")
             if not why:
                 return Curve(points)
             if CLOSED in why:
@@ -257,10 +260,11 @@ class Follower:
         path = [point]
         for point in branch:
             path.append(point)
-            if len(path) % LOOKS_BACK == 0 and retraces(path, span):
-                frequencies = [p.parameter for p in path]
-                why = f"{CLOSED} between {min(frequencies):g} and {max(frequencies):g} Hz"
-                return points, why
+            if len(path) % LOOKS_BACK == 0:
+                self.tell(f"fold at {point.parameter:.4g} Hz, {len(path)} points")
+                if retraces(path, span):
+                    frequencies = [p.parameter for p in path]
+                    return points, f"{CLOSED} between {min(frequencies):g} and {max(frequencies):g} Hz"
             if not least <= point.parameter <= most:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= TRACED_POINTS:

@@ -27,7 +27,7 @@ from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
 from ewr_fenicsx.newton import adopt_weights, solve, went_back
-from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.progress import Report, count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, leave_out_close, refine_points
 from ewr_fenicsx.solution import PeriodicSolution
@@ -244,15 +244,15 @@ def frequency_response(
 
     asked = {label: replace(common, laws=own) for label, own in family.items()}  # what makes no sense is told here
 
-    def make_follower(problem: ContactProblem) -> Follower:
+    def make_follower(problem: ContactProblem, report: Report) -> Follower:
         posed = leave_out_idle(problem)
         problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
-        return Follower(problem_at, targets[0], targets[-1], refine, tolerance)
+        tell = lambda note: report(note=note)  # noqa: E731
+        return Follower(problem_at, targets[0], targets[-1], refine, tolerance, tell)
 
-    followers = [make_follower(problem) for problem in asked.values()]
     cuts = [*range(0, max(1, len(targets) - 1), BLOCK)]
     pieces = [targets[i : i + BLOCK + 1] for i in cuts]
-    blocks = [Block(k, n, piece) for k in range(len(followers)) for n, piece in enumerate(pieces)]
+    blocks = [Block(k, n, piece) for k in range(len(asked)) for n, piece in enumerate(pieces)]
     store = None
     if folder is not None:
         store = BlockStore(Path(folder), fingerprint(FORMAT, common, family, targets, refine, tolerance))
@@ -263,12 +263,15 @@ def frequency_response(
         return known or _solve_block(followers[block.curve], block, store)
 
     with count_progress("frequency response", len(blocks), progress and comm.rank == 0) as report:
+        followers = [make_follower(problem, report) for problem in asked.values()]
         results = share_tasks(blocks, work, comm, report)
+        joined = []
+        for k, follower in enumerate(followers):
+            own = [r for block, r in zip(blocks, results, strict=True) if block.curve == k]
+            joined.append(_join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower))
         report(len(blocks))
     curves = {}
-    for k, (follower, (label, problem)) in enumerate(zip(followers, asked.items(), strict=True)):
-        own = [r for block, r in zip(blocks, results, strict=True) if block.curve == k]
-        curve = _join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower)
+    for curve, follower, (label, problem) in zip(joined, followers, asked.items(), strict=True):
         found = {s.problem.frequency for s in curve.points}
         missing = tuple(f for f in targets if f not in found)
         points = curve.points

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+Report = Callable[..., None]  # the amount done so far, or None where that is as before; note: what goes on, or ""
+
 
 @contextmanager
-def count_progress(title: str, total: int, shown: bool) -> Iterator[Callable[[int], None]]:
+def count_progress(title: str, total: int, shown: bool) -> Iterator[Report]:
     """A bar on standard error with the time that remains; where that is no terminal, only its last state.
 
     Args:
@@ -16,10 +18,10 @@ def count_progress(title: str, total: int, shown: bool) -> Iterator[Callable[[in
         shown: Whether to show anything at all.
 
     Returns:
-        A function to call with the amount done so far.
+        A function to call with the amount done so far; ``note``, until the next call, stands beside the title.
     """
     if not shown:
-        yield lambda done: None
+        yield lambda done=None, note="": None
         return
     from rich.console import Console  # only for those who watch
     from rich.progress import (
@@ -41,4 +43,6 @@ def count_progress(title: str, total: int, shown: bool) -> Iterator[Callable[[in
     )
     with Progress(*columns, console=Console(stderr=True, highlight=False)) as display:
         task = display.add_task(title, total=total)
-        yield lambda done: display.update(task, completed=done)
+        yield lambda done=None, note="": display.update(
+            task, completed=done, description=f"{title}, {note}" if note else title
+        )

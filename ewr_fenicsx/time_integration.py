@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
 
-from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.initial_states import choose_start
 from ewr_fenicsx.periodic_motion import SECOND
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
-from ewr_fenicsx.snes import run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
 
-_STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
-REST = 1e-8  # residual of the static solution from which a motion starts
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
 SECOND_HISTORIES = tuple(SECOND + name for name in ("friction_force", "slip", "slip_velocity"))
@@ -346,68 +343,3 @@ def integrate(
         seconds=time.perf_counter() - begin,
         transients={} if acceleration else watch.transients,
     )
-
-
-def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str | None) -> State:
-    """State at ``tau = 0`` that ``start`` stands for; see ``integrate``.
-
-    Raises:
-        ModelError: An unknown word, no rest was found, or a state of another size than the model's.
-    """
-    if isinstance(start, State):
-        state = start
-    elif start is None or isinstance(start, str):
-        if start not in (None, "rest"):
-            raise ModelError(f'start = "{start}"; {_STARTS}')
-        apart = bool(np.any(problem.clearance > 0))
-        at_rest = find_rest(problem) if apart else None
-        if start == "rest" and apart and not at_rest:
-            raise ModelError(f'start = "rest": no static solution was found across the clearances; {_STARTS}')
-        found = at_rest or find_full_stick(problem)
-        rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
-        state = rest if at_rest or start == "rest" else state_of(found)
-    elif isinstance(start, PeriodicSolution):
-        state = state_of(start)
-    else:
-        raise ModelError(f"start is of type {type(start).__name__}; {_STARTS}")
-    for name in ("position", "velocity"):
-        value = np.asarray(getattr(state, name), dtype=float)
-        if value.shape != (problem.model.size,) or not np.isfinite(value).all():
-            raise ModelError(f"start: {name} has shape {value.shape}; expected {problem.model.size} finite coordinates")
-    return state
-
-
-def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
-    """The linear periodic solution in which no pair opens or slips."""
-    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
-    if problem.system.rows.shape[0]:
-        forces, rigid = HarmonicBalance(problem.system).full_stick
-    return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
-
-
-def find_rest(problem: ContactProblem) -> PeriodicSolution | None:
-    """The static solution of the laws under the means of the load and of normal forces that are given, if found."""
-    static = keep_means(problem)
-    balance = HarmonicBalance(static.system)
-    found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
-    if not found.converged:
-        return None
-    return PeriodicSolution(static, *balance.unpack(found.unknowns), True, "at rest", 0, (), found.residual, 0.0, 0)
-
-
-def keep_means(problem: ContactProblem) -> ContactProblem:
-    """The problem without all that oscillates in what is given: loads and prescribed normal forces."""
-    groups = [
-        (pairs, replace(laws, normal_force=laws.normal_force.get(0, 0.0)))
-        if isinstance(laws.normal_force, Mapping)
-        else (pairs, laws)
-        for pairs, laws in problem.groups
-    ]
-    return replace(problem, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
-
-
-def state_of(solution: PeriodicSolution) -> State:
-    """State of a periodic solution at ``tau = 0``."""
-    amplitudes = solution.coordinates
-    rate = 1j * solution.problem.omega * np.array(solution.orders)
-    return State(amplitudes.sum(axis=0).real, (rate @ amplitudes).real)

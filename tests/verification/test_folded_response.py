@@ -6,14 +6,26 @@ conditions: no harmonic balance, no contact law, none of the package's time step
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, continuation, following, frequency_response, solve
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    ReducedModel,
+    continuation,
+    following,
+    frequency_response,
+    frequency_sweep,
+    solve,
+)
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.continuation import BranchPoint, retraces
+from ewr_fenicsx.progress import count_progress
 
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
 LAWS = ContactLaws(tangential="frictionless", initial_gap=GAP)
@@ -131,6 +143,30 @@ def test_points_round_a_fold_meet_the_tolerance_asked_for(curve):
     traced = [s for s in strict.solutions if "arc length" in s.reason]
     assert len(traced) > 3
     assert all(s.converged and s.residual <= 1e-11 for s in strict.solutions)
+
+
+def test_who_waits_sees_how_far_a_fold_has_been_traced(monkeypatch):
+    """A branch that closes on itself takes hundreds of points, in which no block ends."""
+    notes = []
+
+    @contextmanager
+    def record(title, total, shown):
+        yield lambda done=None, note="": notes.append(note)
+
+    monkeypatch.setattr(frequency_sweep, "count_progress", record)
+    frequency_response(stop_oscillator(excitation=FORCE), LAWS, FREQUENCIES, harmonics=9, progress=False)
+    told = [note for note in notes if note]
+    assert told[0].startswith("fold at 0.1") and told[0].endswith(" Hz, 10 points")
+    assert notes[notes.index(told[-1]) + 1] == "", "and when it is passed, no more"
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_note_stands_beside_what_is_counted(capsys, shown):
+    with count_progress("frequency response", 3, shown) as report:
+        report(1)
+        report(note="fold at 3.5 Hz, 10 points")
+    printed = capsys.readouterr().err
+    assert ("frequency response, fold at 3.5 Hz" in printed and "1/3" in printed) if shown else not printed
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.5, 2.5, 1000.0])
