@@ -10,8 +10,9 @@ With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B
 only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
 M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size rows
 x coordinates beside the contact solve. With 1/2, modes without mass, or far too fast for the step, would ring from step
-to step for ever: they have a ``theta`` of their own, not far above, for it also shifts what they do in time. The laws
-are written again here, apart from ``contact_laws``: this is the second formulation, by which the first is judged.
+to step for ever: they have a ``theta`` of their own, and follow impulses extrapolated to it, from the last two steps:
+``p_k + (theta_own - theta) (p_k - p_(k-1))``. The laws are written again here, apart from ``contact_laws``: this is the
+second formulation, by which the first is judged.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Stewart & Trinkle (1996),
 doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
@@ -76,6 +77,8 @@ class TimeScheme:
 
     Attributes:
         thetas: ``(n',)`` that of each mode: more for those without mass, or far too fast for the step.
+        push: ``(n', m)`` what a unit of each impulse does to the velocities in its step.
+        echo, echoes: ``(k, m)`` what it takes back in the next step, and from which ``k`` modes.
 
     Raises:
         ModelError: No period, no whole number of steps, too few for the problem's harmonics, or ``theta`` outside
@@ -119,7 +122,6 @@ class TimeScheme:
             inverse = 1 / (self.mass + theta * dt * own + theta * spring)
             self.keep, self.pull = 1 - inverse * (dt * own + spring), -dt * inverse * self.stiffness
             self.keep_dense = self.pull_dense = np.zeros((0, 0))
-            self.push = inverse[:, None] * self.rows.T
             self._solve = lambda b: inverse[:, None] * b
         else:
             factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + dt * self.damping * theta)
@@ -127,8 +129,11 @@ class TimeScheme:
             self.keep = self.pull = np.zeros(0)
             self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
             self.pull_dense = np.ascontiguousarray(-dt * self._solve(np.diag(self.stiffness)))
-            self.push = self._solve(self.rows.T)
-        self.push = np.ascontiguousarray(self.push)
+        ahead = ((theta - self.theta)[:, None]) * self.rows.T
+        self.push = np.ascontiguousarray(self._solve(self.rows.T + ahead))
+        echo = self._solve(ahead)
+        self.echoes = np.flatnonzero(np.any(echo != 0, axis=1))
+        self.echo = np.ascontiguousarray(echo[self.echoes])
         self.delassus_columns = np.ascontiguousarray((self.rows @ self.push).T)  # row i: what impulse i does to all
 
     def _compose_laws(self) -> None:
@@ -183,6 +188,16 @@ class TimeScheme:
         """Modal coordinates ``(n',)`` of reduced ones ``(n,)``, bonded motions left out."""
         return self._contraction @ vector
 
+    def hold_fast_modes(self, position: RealArray, velocity: RealArray) -> RealArray:
+        """``(m,)`` impulses a step under which modes with a ``theta`` of their own are in balance at ``tau = 0`` [N s].
+
+        Args:
+            position, velocity: ``(n',)`` modal coordinates.
+        """
+        load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
+        force = self.stiffness * position + self.damping @ velocity - load
+        return self.dt * np.linalg.lstsq(self.rows[:, self.echoes].T, force[self.echoes], rcond=1e-12)[0]
+
     def run_period(
         self, position: RealArray, velocity: RealArray, impulse: RealArray, tolerance: float, sweeps: int
     ) -> Period:
@@ -201,16 +216,17 @@ class TimeScheme:
         taken, unsolved = compile_loop()(
             self.theta, self.thetas, self.dt,
             self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
-            self.rows, self.push, self.delassus_columns, self.order, self.kind, self.partner, self.twin,
-            self.friction, self.initial_gap, self.given_limit, np.array(impulse), tolerance, sweeps,
-            positions, velocities, impulses,
+            self.rows, self.push, self.echo, self.echoes, self.delassus_columns,
+            self.order, self.kind, self.partner, self.twin, self.friction, self.initial_gap, self.given_limit,
+            np.array(impulse), tolerance, sweeps, positions, velocities, impulses,
         )  # fmt: skip
         return Period(positions, velocities, impulses, taken, unsolved)
 
 
 def step_through_period(
-    theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, delassus_columns, order,
-    kind, partner, twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps, positions, velocities, impulses,
+    theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, echo, echoes, delassus_columns,
+    order, kind, partner, twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps,
+    positions, velocities, impulses,
 ):  # fmt: skip
     """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
 
@@ -223,6 +239,7 @@ def step_through_period(
     fast = np.flatnonzero(thetas != theta)
     x, v = positions[0].copy(), velocities[0].copy()
     free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
+    echoed = np.zeros(echoes.size)
     u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
     if m > 0:
         np.dot(rows, v, u)
@@ -240,6 +257,9 @@ def step_through_period(
             for i in range(n):
                 free[i] = keep[i] * v[i] + pull[i] * x[i] + velocity_of_load[k, i]
         if m > 0:
+            np.dot(echo, p, echoed)
+            for i in range(echoes.size):
+                free[echoes[i]] -= echoed[i]
             if k > 1:  # the contact forces are mostly smooth: a line through the last two saves a quarter of the sweeps
                 p[:] = 2.0 * impulses[k - 1] - impulses[k - 2]
             np.dot(rows, free, u_end)
@@ -320,8 +340,8 @@ def compile_loop():
     except ImportError as missing:
         raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
     vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
-    arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, *[index] * 4, vector, vector, matrix, vector]
-    arguments += ["f8", "i8"]
+    arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, index, matrix, *[index] * 4, vector, vector, matrix]
+    arguments += [vector, "f8", "i8"]
     signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
     try:
         return numba.njit(signature, cache=True)(step_through_period)

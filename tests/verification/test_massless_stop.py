@@ -28,6 +28,18 @@ def test_a_stop_without_mass_does_not_ring(start, steps):
     assert np.abs(np.diff(steady.history("normal_force"), n=2, axis=0)).max() < 0.02, "or it does"
 
 
+def test_a_stop_without_mass_is_stepped_with_second_order():
+    """Amplitude and phase against many harmonics: its end follows the contact force of its own time."""
+    problem = ContactProblem(stop_oscillator(), STOP, 0.16, 21)
+    exact = solve(replace(problem, harmonics=101, samples=4096)).output("tip")[1]
+    errors = []
+    for steps in (200, 400, 800):
+        steady = integrate(problem, steps=steps, tolerance=1e-7, acceleration=True)
+        errors.append(abs(steady.output("tip")[1] - exact) / abs(exact))
+    assert errors[1] < 3e-4
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1) == errors[1] / errors[2]
+
+
 @pytest.mark.parametrize("stop_mass", [0.0, 1e-6, 0.1])
 def test_a_motion_from_rest_begins_with_open_gaps(stop_mass):
     """Not with bodies drawn together across a clearance; until the gap closes, against the equation without a stop."""
