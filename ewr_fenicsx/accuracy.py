@@ -34,6 +34,7 @@ from ewr_fenicsx.symmetry import leave_out_idle
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
+MORE_SAMPLES = 4  # times as many, where the first solve finds nothing
 MOST_HARMONICS = 63  # of the lowest harmonic with a load
 MOST_SAMPLES = 512  # a highest harmonic
 MODES_GROWTH = 2  # of their number, where the modes left out matter most
@@ -184,6 +185,9 @@ def solve_to_accuracy(
             if chosen:
                 damped = top  # dashpots are sturdier; springs that found nothing are not tried again
                 springs = "springs" not in posed.system.closures
+                continue
+            if not levels and density == SAMPLES:
+                density = MORE_SAMPLES * posed.basis.samples / max(1, top)  # few may be in the way of any solution
                 continue
             if not levels:
                 raise

@@ -85,8 +85,9 @@ def check_given_force(problem: Statement) -> None:
     Raises:
         ModelError: A harmonic is not kept, or too high for the samples.
     """
-    basis, moves = problem.basis, problem.model.normal is not None
-    for h in (h for h, amplitude in problem.given_force.items() if np.any(amplitude)):
+    basis, normal = problem.basis, problem.model.normal
+    for h, amplitude in ((h, amplitude) for h, amplitude in problem.given_force.items() if np.any(amplitude)):
+        moves = normal is not None and np.any(normal.T @ amplitude)
         if h not in basis.orders and (moves or not problem.frequency):
             remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
             raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")

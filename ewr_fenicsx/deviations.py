@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -147,30 +147,43 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
     return Slopes.of(tuple(joined), balance.rows)
 
 
-def measure_changes(problem: ContactProblem, coordinates: ComplexArray, periods: int) -> tuple[RealArray, float]:
-    """How the motion in time that begins on a solution changes from each of its periods to the next, and in all.
+class Course(NamedTuple):
+    """Where the motion in time goes that begins on a solution.
+
+    Attributes:
+        changes: ``(periods - 1,)`` from each period to the next, over the oscillation in the last.
+        distance: From the first period to the last, over the same.
+        forces, motion: ``(n_h, m)`` amplitudes of the contact rows in the last [N], [m].
+    """
+
+    changes: RealArray
+    distance: float
+    forces: ComplexArray
+    motion: ComplexArray
+
+
+def watch_course(problem: ContactProblem, coordinates: ComplexArray, periods: int) -> Course | None:
+    """How the motion in time that begins on a solution changes, and where it is after so many periods.
 
     Args:
         problem, coordinates: As in ``differentiate_along``.
-        periods: At most: a motion that leaves all bounds has fewer.
+        periods: How many are stepped.
 
     Returns:
-        Changes ``(periods - 1,)``, and that from the first to the last; over the oscillation in the last.
+        None where it leaves all bounds before.
 
     Raises:
         ModelError, ImportError: As ``differentiate_along``.
     """
-    changes, first, last = [], None, None
-    for _, period in islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods):
-        if last is None:
-            first = period.positions
-        else:
-            changes.append(np.linalg.norm(period.positions - last))
-        last = period.positions
-    if last is None:
-        return np.zeros(0), np.inf
-    swing = max(float(np.linalg.norm(last - last.mean(axis=0))), np.finfo(float).tiny)
-    return np.array(changes) / swing, float(np.linalg.norm(last - first)) / swing
+    stepped = list(islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods))
+    if len(stepped) < periods:
+        return None
+    positions = [period.positions for _, period in stepped]
+    changes = np.array([np.linalg.norm(after - before) for before, after in pairwise(positions)])
+    distance = float(np.linalg.norm(positions[-1] - positions[0]))
+    swing = max(float(np.linalg.norm(positions[-1] - positions[-1].mean(axis=0))), np.finfo(float).tiny)
+    scheme, last = stepped[-1]
+    return Course(changes / swing, distance / swing, *scheme.contact_amplitudes(last, problem.basis.orders))
 
 
 def step_from(

@@ -16,15 +16,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.deviations import (
     PERIODS,
+    Course,
     Slopes,
     differentiate_along,
     differentiate_laws,
-    measure_changes,
     step_deviations,
+    watch_course,
 )
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
@@ -40,6 +42,9 @@ BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is 
 # small beside the motion, and never rose; it is as near as this, and not so near that stepping may be what moved it
 SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
 STEADY = 1e-3
+# Newton steps from there to a solution of as many harmonics, what they leave of the residual, and how far another
+# solution's forces are at least
+NEWTON_STEPS, SOLVED, ELSEWHERE = 30, 1e-6, 1e-3
 # A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
 # matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
@@ -92,25 +97,41 @@ def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
     return measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > BORNE_OUT**PERIODS
 
 
-def settles(problem: ContactProblem, coordinates: ComplexArray) -> bool:
-    """Whether the motion in time that begins on a solution comes to repeat itself beside it.
+def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
+    """Whether the motion in time that begins on a solution comes to repeat itself, and is the one that it stands for.
 
     Nothing then leaves it, whatever truncated series say of pairs that lift off. It begins as far from the motion
     without truncation as the solution is: what grows by two percent a period has grown fivefold in the end. False where
-    it cannot be stepped.
+    it cannot be stepped, and where what it comes to has another solution of as many harmonics: a branch near by.
 
     Args:
-        problem, coordinates: As in ``find_growth``.
+        problem, forces, rigid, coordinates: As in ``find_growth``.
     """
     try:
-        changes, distance = measure_changes(problem, coordinates, SETTLING)
+        course = watch_course(problem, coordinates, SETTLING)
     except (ModelError, ImportError):
         return False
-    if len(changes) < SETTLING - 1:
+    if course is None:
         return False
-    first, last = changes[:5].max(), changes[-1]
+    changes, first, last = course.changes, course.changes[:5].max(), course.changes[-1]
     fallen = last < FALLEN * first and last < max(ABOVE_LEAST * changes.min(), NOTHING * first)
-    return bool(fallen and last < STEADY and changes.max() < RISEN * first and AT_ONE < distance < NEAR)
+    beside = fallen and last < STEADY and changes.max() < RISEN * first and AT_ONE < course.distance < NEAR
+    return bool(beside) and not leads_elsewhere(problem, forces, rigid, course)
+
+
+def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, course: Course) -> bool:
+    """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
+    balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
+    here, unknowns, motion = balance.pack(forces, rigid), balance.pack(course.forces, rigid), course.motion
+    for _ in range(NEWTON_STEPS):
+        step = balance.linearise(unknowns, motion)
+        if motion is None and np.linalg.norm(step.residual) < SOLVED:
+            return bool(np.linalg.norm(unknowns - here) > ELSEWHERE * np.linalg.norm(here))
+        try:
+            unknowns, motion = unknowns - step.solve(step.residual), None
+        except np.linalg.LinAlgError:
+            break
+    return False  # nothing is known
 
 
 def measure_growth(whole: RealArray) -> float:

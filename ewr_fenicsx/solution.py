@@ -202,7 +202,8 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def _settles(self) -> bool:
         """Whether the motion in time settles beside it; looked at where pairs tap."""
-        return self._taps and settles(self._forgetful.problem, self._forgetful.coordinates)
+        here = self._forgetful
+        return self._taps and settles(here.problem, here.forces, here.rigid, here.coordinates)
 
     @cached_property
     def _forgetful(self) -> PeriodicSolution:

@@ -16,7 +16,7 @@ from ewr_fenicsx.initial_states import choose_start
 from ewr_fenicsx.periodic_motion import SECOND
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop
+from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 
 _BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
@@ -95,20 +95,12 @@ class SteadyState:
         Raises:
             ModelError: The model has no such output.
         """
-        return self._transform((self.last.positions[:-1] @ self._output_row(name))[:, None])[:, 0]
+        return to_amplitudes((self.last.positions[:-1] @ self._output_row(name))[:, None], self.orders)[:, 0]
 
     @property
     def contact_amplitudes(self) -> tuple[ComplexArray, ComplexArray]:
         """One-sided complex amplitudes of the contact rows' forces [N] and motions [m], ``(n_h, m)``, last period."""
-        force, motion = self.last.impulses / self.scheme.dt, self.last.positions[:-1] @ self.scheme.rows.T
-        late = 2 * np.pi * self.scheme.theta / self.scheme.steps  # an impulse belongs to the middle of its step
-        return self._transform(force) * np.exp(-1j * late * np.array(self.orders))[:, None], self._transform(motion)
-
-    def _transform(self, values: RealArray) -> ComplexArray:
-        """One-sided complex amplitudes ``(n_h, m)`` of values at the steps' starts ``(steps, m)``."""
-        orders = np.array(self.orders)
-        spectrum = np.fft.fft(values, axis=0) / self.scheme.steps
-        return np.where(orders == 0, 1.0, 2.0)[:, None] * spectrum[orders % self.scheme.steps]
+        return self.scheme.contact_amplitudes(self.last, self.orders)
 
     def output_history(self, name: str, samples: int | None = None) -> RealArray:
         """A named output over the last period, ``(samples,)``, at equal intervals from ``tau = 0``; None: one a step.

@@ -20,7 +20,7 @@ doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from numbers import Real
@@ -188,6 +188,12 @@ class TimeScheme:
         """Modal coordinates ``(n',)`` of reduced ones ``(n,)``, bonded motions left out."""
         return self._contraction @ vector
 
+    def contact_amplitudes(self, period: Period, orders: Sequence[int]) -> tuple[ComplexArray, ComplexArray]:
+        """One-sided complex amplitudes of the contact rows' forces [N] and motions [m] over a period, ``(n_h, m)``."""
+        late = 2 * np.pi * self.theta / self.steps  # an impulse belongs to the middle of its step
+        force = to_amplitudes(period.impulses / self.dt, orders) * np.exp(-1j * late * np.array(orders))[:, None]
+        return force, to_amplitudes(period.positions[:-1] @ self.rows.T, orders)
+
     def hold_fast_modes(self, position: RealArray, velocity: RealArray) -> RealArray:
         """``(m,)`` impulses a step under which modes with a ``theta`` of their own are in balance at ``tau = 0`` [N s].
 
@@ -326,6 +332,13 @@ def step_through_period(
             positions[k + 1, i] = x[i]
             velocities[k + 1, i] = v[i]
     return taken, unsolved
+
+
+def to_amplitudes(values: RealArray, orders: Sequence[int]) -> ComplexArray:
+    """One-sided complex amplitudes ``(n_h, m)`` of values over a period at equal intervals, ``(steps, m)``."""
+    kept = np.array(orders)
+    spectrum = np.fft.fft(values, axis=0) / len(values)
+    return np.where(kept == 0, 1.0, 2.0)[:, None] * spectrum[kept % len(values)]
 
 
 @cache

@@ -9,8 +9,9 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx import accuracy as accuracy_module
 from ewr_fenicsx.dashpots import match_mobility, read_friction_weight
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.estimates import (
     choose_harmonics,
     compare_responses,
@@ -269,6 +270,44 @@ def test_harmonics_of_given_normal_forces_are_kept():
     with pytest.raises(ModelError, match="highest = 5; loads act at harmonic 6: allow at least that"):
         solve_to_accuracy(posed, 0.01, highest=5)
     assert max(solve_to_accuracy(posed, 0.01, highest=6).solution.orders) == 6
+
+
+@pytest.mark.parametrize("accuracy", [0.01, 0.001])
+def test_a_given_force_that_moves_nothing_needs_no_harmonic_of_its_own(accuracy):
+    """A normal row of zeros: what swings at harmonic 2 is the limit of friction only, and forces there are small."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0]),
+        damping=np.diag([0.1, 0.0]),
+        stiffness=[[3.0, -2.0], [-2.0, 2.0]],
+        normal=[[0.0, 0.0]],
+        tangential=[[0.0, 1.0]],
+        load={1: [1.0, 0.0], 3: [0.5, 0.0]},
+        outputs={"tip": [1.0, 0.0]},
+    )
+    laws = ContactLaws("prescribed", normal_force={0: 1.0, 2: 0.5j}, friction=0.5)
+    found, without = (
+        solve_to_accuracy(ContactProblem(each, laws, 0.2, 9), accuracy) for each in (model, replace(model, normal=None))
+    )
+    assert found.reached and without.reached
+    assert measure_distance(found.solution, without.solution) <= 2 * accuracy
+
+
+def test_few_samples_that_lead_nowhere_are_raised(monkeypatch):
+    """As at joints where 64 have no solution that any rung finds, and 128 do."""
+    tried = []
+
+    def fail_at_few(problem, *arguments, **settings):
+        tried.append(problem.basis.samples)
+        if problem.basis.samples < 128:
+            raise NotConverged("nothing found", best=None)
+        return solve(problem, *arguments, **settings)
+
+    monkeypatch.setattr(accuracy_module, "solve", fail_at_few)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.03)
+    assert found.reached and tried[:2] == [64, 256] and found.levels[0].samples == 256
+    monkeypatch.setattr(accuracy_module, "solve", lambda problem, *_, **__: fail_at_few(replace(problem, samples=64)))
+    with pytest.raises(NotConverged, match="nothing found"):
+        solve_to_accuracy(rub_and_lift_off(), 0.03)
 
 
 def test_loads_far_above_the_lowest_are_kept_without_being_asked_for():

@@ -37,6 +37,23 @@ def test_between_the_folds_solutions_are_unstable(branches):
         assert {solution.grows for solution in branches[name]} == {side < 0}, name
 
 
+def test_a_middle_branch_is_unstable_however_near_the_next_one_is():
+    """Where the stop is all but missed, the motion that never touches it lies within three per cent: time goes there.
+
+    It is linear, so known; the middle branch touches.
+    """
+    model = stop_oscillator(excitation=0.048, damping=0.03, stop_stiffness=0.5)
+    curve = frequency_response(model, LAWS, np.linspace(0.15, 0.19, 21), 6, progress=False)
+    near = [s for s in curve.solutions if s.side < 0 and abs(s.output("tip")[1]) < 1.1]
+    assert len(near) >= 3
+    for solution in near:
+        alone = 0.048 / (1 - solution.problem.omega**2 + 0.03j * solution.problem.omega)
+        steady = integrate(solution.problem, solution, 1000, 400, tolerance=0, theta=0.505)
+        assert abs(steady.output("tip")[1]) == pytest.approx(abs(alone), rel=1e-3)
+        assert abs(solution.output("tip")[1]) > 1.01 * abs(alone) and solution.touches
+        assert solution.grows and solution.unstable
+
+
 @pytest.mark.parametrize("closure", ["dashpot", "spring"])
 def test_friction_that_wedges_turns_the_sign_and_no_motion_leaves(closure):
     """Mean friction is what turns it: no motion in time grows, and none is told to."""
