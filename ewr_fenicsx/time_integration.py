@@ -313,7 +313,9 @@ def integrate(
         here = end if follows else ahead
     else:
         reason = f"not steady after {periods} periods"
-        if walks_on(last, scheme):
+        if follows and last.unsolved and changes[-1] <= tolerance:
+            reason = f"it repeats itself after {periods} periods"
+        elif walks_on(last, scheme):
             reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
         elif follows and tolerance and watch.second_change <= tolerance:
             reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"

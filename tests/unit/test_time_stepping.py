@@ -216,6 +216,24 @@ def test_contact_solve_that_runs_out_of_sweeps_is_reported():
     result = integrate(pose(chain_of(3)), "rest", steps=50, periods=5, tolerance=1.0, sweeps=1)
     assert result.unsolved > 0 and not result.converged
     assert "missed the contact tolerance" in result.reason and "NOT steady" in result.summary()
+    assert "it repeats itself" in result.reason and "every second one" not in result.reason
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.1, 0.7, 1.2])
+def test_an_output_that_symmetry_keeps_at_rest_is_no_motion_that_never_settles(turn):
+    """It is the rounding of what moves across it, by which it is judged: 1e-21 m beside 1e-4 m."""
+    along, across = np.cos(turn), np.sin(turn)
+    model = ReducedModel(
+        mass=np.eye(3),
+        damping=20 * np.eye(3),
+        stiffness=1e6 * np.eye(3),
+        normal=[[0.0, 0.0, -1.0]],
+        tangential=[[along, across, 0.0], [-across, along, 0.0]],
+        load={0: [0.0, 0.0, 300.0], 1: [150.0, 0.0, 0.0]},
+        outputs={"along": [1.0, 0.0, 0.0], "across": [0.0, 1.0, 0.0]},
+    )
+    steady = integrate(ContactProblem(model, ContactLaws(friction=0.3), 120.0, 9), steps=2000, theta=0.52)
+    assert steady.converged and steady.periods < 20
 
 
 def test_motion_without_bound_is_reported():
