@@ -39,6 +39,7 @@ RATE, RATE_WITH_DASHPOTS = 2.0, 1.5
 FIRST_ORDER = 3  # highest harmonic up to which no springs are used: so few say little with them
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
+USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
@@ -211,6 +212,18 @@ def estimate_errors(
         *(estimate(solution, figure) for estimate in causes),
         estimate_modes(solution, modes, figure) if len(modes) else np.nan,
     )
+
+
+def estimate_at_once(
+    solution: PeriodicSolution, modes: Sequence[int] = (), figure: Figure | None = None
+) -> ErrorEstimate:
+    """What a solution that nobody asked an accuracy of is off by, roughly: harmonics and samples together, and modes.
+
+    Args:
+        solution, modes, figure: As in ``estimate_errors``.
+    """
+    error = estimate_together(solution, USUAL, figure)
+    return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure) if len(modes) else np.nan)
 
 
 def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:

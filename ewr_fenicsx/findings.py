@@ -16,6 +16,7 @@ from ewr_fenicsx.symmetry import find_idle_harmonics
 if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.contact_problem import ContactProblem
+    from ewr_fenicsx.estimates import ErrorEstimate
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
     from ewr_fenicsx.given import RealArray
     from ewr_fenicsx.interface import Interface
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ewr_fenicsx.wear import WearHistory
 
 ROUND = 256  # samples of a period, looked through for the largest motion
+COARSE, UNKNOWN = 0.02, 1.0  # estimated error that a user should know a remedy for; one that tells no more than that
 FEW = 5  # frequencies or cycles that are told one by one
 
 
@@ -72,10 +74,28 @@ def measure_spacing(interface: Interface) -> RealArray:
     return spacing
 
 
+def list_causes(estimate: ErrorEstimate) -> dict[str, float | None]:
+    """Estimated errors by cause, and in all; those that were not looked at, or are not known, are null."""
+    causes = {"total": estimate.total} | asdict(estimate)
+    return {name: float(error) if np.isfinite(error) else None for name, error in causes.items()}
+
+
+def tell_estimate(estimate: ErrorEstimate | None, what: str) -> list[str]:
+    """How far off ``what`` is thought to be of a solution that no accuracy was asked of."""
+    if estimate is None:
+        return []
+    remedy = "solver.accuracy = 0.01 takes as many harmonics and modes as that needs"
+    if not estimate.total < UNKNOWN:
+        return [f"  NOT accurate: estimated error of {what} {estimate.total:.1g}; {remedy}"]
+    shares = {"harmonics and samples": estimate.harmonics, "modes": estimate.modes}
+    told = ", ".join(f"{name} {error:.1g}" for name, error in shares.items() if not np.isnan(error))
+    line = f"  estimated error of {what} {estimate.total:.1g} ({told})"
+    return [f"{line}; {remedy}" if estimate.total > COARSE else line]
+
+
 def list_accuracy(found: AccurateSolution) -> dict[str, object]:
     """What came of an accuracy that was asked for; causes that were not looked at are null."""
-    causes = {name: None if np.isnan(error) else float(error) for name, error in asdict(found.estimate).items()}
-    estimate = {"total": found.estimate.total} | causes
+    estimate = list_causes(found.estimate)
     limit = found.limit and f"{found.limit}; {found.remedy}"
     return {"asked": found.accuracy, "reached": found.reached, "limit": limit, "estimate": estimate}
 

@@ -26,6 +26,7 @@ from ewr_fenicsx.symmetry import find_idle_harmonics
 from ewr_fenicsx.work_folder import refuse_other_work, take_up_model
 
 if TYPE_CHECKING:
+    from ewr_fenicsx.estimates import ErrorEstimate
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
@@ -74,11 +75,34 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
         OutputError: ``work`` holds another study.
     """
-    through = measure_thinnest_body(chain)
-    study = _solve(chain, Stopwatch(progress), work if can_resume(chain.scene) else None, through)
+    through, watch = measure_thinnest_body(chain), Stopwatch(progress)
+    study = _solve(chain, watch, work if can_resume(chain.scene) else None, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)
-    told = "\n".join([study.told, *(f"  NOT a small motion: {doubt}" for doubt in doubts)])
-    return replace(study, told=told, facts={**study.facts, "doubts_of_small_motion": doubts})
+    lines, facts = [f"  NOT a small motion: {doubt}" for doubt in doubts], {"doubts_of_small_motion": doubts}
+    if chain.scene.solver.accuracy is None:
+        with watch.stage("estimate"):
+            estimate, what = _estimate(study)
+        lines = [*findings.tell_estimate(estimate, what), *lines]
+        facts["estimate"] = estimate and findings.list_causes(estimate)
+    told = "\n".join([study.told, *lines])
+    return replace(study, seconds=watch.seconds, told=told, facts={**study.facts, **facts})
+
+
+def _estimate(study: Study) -> tuple[ErrorEstimate | None, str]:
+    """Estimated errors of a study's solution, None where nothing is truncated, and of what they are."""
+    from ewr_fenicsx.estimates import estimate_at_once
+
+    chain, solution = study.chain, study.solution
+    if not solution.problem.frequency or not solution.unknowns:
+        return None, ""
+    modes = chain.reduction.modal_coordinates
+    if chain.scene.wear is None or len(chain.scene.frequencies) > 1:
+        return estimate_at_once(solution, modes), "the response"
+    from ewr_fenicsx.archard import measure_wear_rate
+
+    coefficient = spread_wear(chain.scene, chain.interface)
+    rate = lambda solution: measure_wear_rate(solution, coefficient)  # noqa: E731
+    return estimate_at_once(solution, modes, rate), "the response and the wear rate"
 
 
 def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> Study:

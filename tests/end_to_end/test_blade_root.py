@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,8 +16,10 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from ewr_fenicsx import ReducedModel
+from ewr_fenicsx import ReducedModel, load_scene, solve
+from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.estimates import measure_distance
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "demos" / "blade_root.toml"
@@ -88,17 +91,39 @@ def test_run_names_the_files_and_pictures_that_it_wrote(run):
 def test_progress_names_every_stage(run):
     stages = [line.split()[0] for line in run[0].stderr.splitlines() if line.endswith(" s")]
     stages = [stage for stage in stages if stage != "JIT"]  # where it takes a while: not with everything in the cache
-    assert stages == ["mesh", "matrices", "interface", "reduction", "solve", "write"]
+    assert stages == ["mesh", "matrices", "interface", "reduction", "solve", "estimate", "write"]
 
 
 def test_summary_tells_where_the_figures_come_from(summary, run):
     assert summary["scene"]["contact"]["friction"] == 0.2
     assert Path(summary["scene"]["geometry"]["source"]).is_file()
     assert {"python", "dolfinx", "petsc4py", "slepc4py", "numpy", "ewr_fenicsx"} <= set(summary["versions"])
-    assert set(summary["seconds"]) == {"mesh", "matrices", "JIT", "interface", "reduction", "solve", "write"}
+    assert set(summary["seconds"]) == {
+        "mesh",
+        "matrices",
+        "JIT",
+        "interface",
+        "reduction",
+        "solve",
+        "estimate",
+        "write",
+    }
     assert sorted(path.name for path in run[1].iterdir()) == summary["files"]
     assert summary["solution"]["converged"] is True
     assert summary["ranks"] == 1
+
+
+def test_who_asked_for_no_accuracy_is_told_of_the_error(summary, run):
+    """Against forty harmonics of the same reduced model; and how to have less of it."""
+    told = next(line for line in run[0].stdout.splitlines() if "estimated error of the response" in line)
+    assert "solver.accuracy = 0.01" in told
+    scene = load_scene(ROOT / "demos" / "blade_root.toml")
+    chain = build_chain(scene)
+    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    coarse, truth = solve(problem), solve(replace(problem, harmonics=40, closure="spring"))
+    true = measure_distance(coarse, truth)
+    assert true / 3 < summary["estimate"]["total"] < 3 * true
+    assert 0 < summary["estimate"]["modes"] < summary["estimate"]["harmonics"]
 
 
 def test_figures_of_the_default_scene(summary, pairs):

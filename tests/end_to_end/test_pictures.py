@@ -112,7 +112,8 @@ def test_pictures_of_a_worn_joint_say_so(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: titles.append(figure._suptitle.get_text()))
     for draw in (plots.draw_histories, plots.draw_contact_sets):
         draw(tmp_path / "picture.png", study.chain.interface, study.solution)
-    assert set(titles) == {f"1400 Hz, harmonics 0 to 5, worn by up to {1e6 * study.solution.problem.wear.max():.3g} µm"}
+    top, depth = study.solution.orders[-1], study.solution.problem.wear.max()
+    assert set(titles) == {f"1400 Hz, harmonics 0 to {top}, worn by up to {1e6 * depth:.3g} µm"}
 
 
 def test_flanks_of_a_large_fir_tree_have_colours_of_their_own():

@@ -268,7 +268,7 @@ def test_a_summary_says_how_accurate_the_outputs_are(run, tmp_path):
     assert "accuracy" not in run()[0], "none was asked for"
 
 
-def test_a_summary_says_why_wear_stopped(tmp_path, monkeypatch):
+def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
     evolve = wear.evolve_wear
     stop = lambda *given, **named: replace(evolve(*given, **named), stopped="after 2 cycles: enough")  # noqa: E731
     monkeypatch.setattr(wear, "evolve_wear", stop)
@@ -277,6 +277,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, monkeypatch):
     facts = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]
     assert facts["stopped"] == "after 2 cycles: enough" and facts["cycles"] == 2 and facts["solves"] >= 2
     assert facts["reservations_of_first_solve"] == []
+    assert "estimated error of the response and the wear rate" in capsys.readouterr().out
 
 
 def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):

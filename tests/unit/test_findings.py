@@ -9,6 +9,7 @@ import pytest
 from small_models import lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, findings, frequency_response
+from ewr_fenicsx.estimates import ErrorEstimate
 
 
 @pytest.mark.parametrize("count, told", [(2, "0.1, 0.2"), (9, "9 solutions from 0.1 to 0.9")])
@@ -27,6 +28,25 @@ def test_points_that_fall_short_for_the_same_reason_share_a_line(count, told):
     assert len(short) == 2
     assert f"at {told} Hz: up to {worst:.1g}; harmonic 9 is the highest allowed; allow more" in short[0]
     assert "at 1 Hz: up to" in short[1] and "the modes are too few" in short[1]
+
+
+@pytest.mark.parametrize(
+    "errors, told",
+    [
+        ((0.01, 1e-4), "  estimated error of the response 0.01 (harmonics and samples 0.01, modes 0.0001)"),
+        (
+            (0.3, np.nan),
+            "  estimated error of the response 0.3 (harmonics and samples 0.3); solver.accuracy = 0.01 takes",
+        ),
+        ((np.inf, np.nan), "  NOT accurate: estimated error of the response inf; solver.accuracy = 0.01 takes"),
+    ],
+)
+def test_an_error_that_nobody_asked_for_comes_with_its_remedy_where_it_is_large(errors, told):
+    estimate = ErrorEstimate(errors[0], np.nan, modes=errors[1])
+    (line,) = findings.tell_estimate(estimate, "the response")
+    assert line.startswith(told) and ("solver" in line) == ("solver" in told)
+    assert findings.list_causes(estimate)["total"] == (errors[0] + np.nan_to_num(errors[1]) if errors[0] < 1 else None)
+    assert findings.tell_estimate(None, "") == [], "a static solution, or one without contact, has none"
 
 
 def test_frequencies_without_a_solution_share_a_line():
