@@ -160,9 +160,8 @@ def estimate_together(
 
     Where a first look tells of far more than the accuracy, or far less, that is all; but not where it tells of far
     less than the solution has ``moved``, by the same measure, from the one with fewer harmonics. Else a second look at
-    the same problem follows (``approach``): it is mostly closer to the true error, and half of what it changed is added
-    for what further ones would. They reach to a higher order N' only: they see the share ``1 - (N / N')^rate`` of the
-    error, and its whole is returned.
+    the same problem follows (``approach``), mostly closer to the true error. They reach to a higher order N' only: they
+    see the share ``1 - (N / N')^rate`` of the error, and its whole is returned.
     """
     raised, top = look_ahead(solution)
     problem = replace(raised, samples=2 * raised.basis.samples)
@@ -171,8 +170,7 @@ def estimate_together(
     first = next(looks, np.inf)
     if first > CLEAR * accuracy or (CLEAR * first < accuracy and moved < SURPRISE * first):
         return first
-    second = next(looks, np.inf)
-    return second + abs(second - first) / 2
+    return next(looks, np.inf)
 
 
 def find_rate(problem: ContactProblem) -> float:
