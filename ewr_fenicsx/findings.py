@@ -183,8 +183,8 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
             f"  estimated errors up to {worst:.1g} of {history.accuracy:g} asked, highest harmonics "
             f"{min(tops)} to {max(tops)}, {modes} modes"
         )
-        short = history.cycles[history.estimates > history.accuracy]
-        lines += [f"  NOT as accurate as asked after {list_few(short, 'numbers of')} cycles"] if short.size else []
+        told = f"  NOT as accurate as asked after {list_few(history.short, 'numbers of')} cycles"
+        lines += [told] if history.short.size else []
     lines += [f"  stopped {history.stopped}"] if history.stopped else []
     if history.depth[-1].max() > through:
         lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
@@ -203,11 +203,10 @@ def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
         }
     }
     if history.accuracy is not None:
-        short, worst = history.cycles[history.estimates > history.accuracy], float(np.nanmax(history.estimates))
         facts["accuracy"] = {
             "asked": history.accuracy,
-            "reached": not short.size,
-            "estimate": {"total": worst},
-            "short_after_cycles": short.tolist(),
+            "reached": not history.short.size,
+            "estimate": {"total": float(np.nanmax(history.estimates))},
+            "short_after_cycles": history.short.tolist(),
         }
     return facts

@@ -49,6 +49,7 @@ class WearHistory:
 
     def __repr__(self) -> str:
         told = f"stopped {self.stopped}" if self.stopped else "to the last one"
+        told += f"; NOT as accurate as asked at {len(self.short)} of them" if len(self.short) else ""
         return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
 
     @cached_property
@@ -90,6 +91,11 @@ class WearHistory:
     def estimates(self) -> RealArray:
         """``(steps,)`` estimated errors of the solutions; NaN without an accuracy."""
         return np.array([step.estimate for step in self.steps])
+
+    @property
+    def short(self) -> np.ndarray:
+        """Cycles after which the solution is thought less accurate than asked, in turn; none without an accuracy."""
+        return self.cycles[:0] if self.accuracy is None else self.cycles[self.estimates > self.accuracy]
 
     @cached_property
     def orders(self) -> tuple[int, ...]:

@@ -162,3 +162,11 @@ def test_a_single_cycle_takes_every_fallback(monkeypatch):
         lost = evolve_wear(pose(), 3, WEAR, jump)
         assert lost.stopped is None and lost.cycles[-1] == 3
         np.testing.assert_allclose(lost.depth[-1], usual.depth[-1], rtol=1e-6)
+
+
+def test_wear_that_falls_short_of_its_accuracy_says_so():
+    """A limit of five harmonics; without an accuracy there is nothing to fall short of."""
+    history = evolve_wear(pose(), 3, WEAR, accuracy=1e-6, highest=5)
+    assert history.short.tolist() == [0, 1, 2, 3] and "NOT as accurate as asked at 4 of them" in repr(history)
+    for kept in (evolve_wear(pose(), 3, WEAR), evolve_wear(pose(), 3, WEAR, accuracy=0.9)):
+        assert kept.short.size == 0 and "NOT" not in repr(kept)
