@@ -132,7 +132,7 @@ def solve(
     )
     if raise_on_failure and not solution.converged:
         told = f". Tried: {'; '.join(fell_back)}" if fell_back else ""
-        advice = "" if attempts[-1].walks else list_remedies(problem, solution.residual)
+        advice = "" if attempts[-1].walks else list_remedies(solution)
         raise NotConverged(
             f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
             f"after {solution.iterations} Newton steps{told}{advice}",
@@ -172,8 +172,9 @@ def list_rungs(
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 
 
-def list_remedies(problem: ContactProblem, residual: float) -> str:
-    """What a user may try where every way failed, and left this residual."""
+def list_remedies(best: PeriodicSolution) -> str:
+    """What a user may try where every way failed, and left this."""
+    problem, residual = best.problem, best.residual
     left = estimate_rounding(problem)
     if left > COARSE and residual < ROUNDING * left:
         return (
@@ -185,6 +186,8 @@ def list_remedies(problem: ContactProblem, residual: float) -> str:
     own = ", ".join(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind)))
     if own and not np.isfinite(residual):
         return f". Laws return infinities or NaN: look at {own}"
+    if hit := best.list_hit_modes():
+        return f". {hit[0][0].upper()}{hit[0][1:]}"
     last = "integrate(problem) shows whether the motion becomes periodic at all"
     if own:
         last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"

@@ -119,7 +119,7 @@ class PeriodicSolution(PeriodicMotion):
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
-        lines += self._list_few_multiples() + self._list_hit_modes()
+        lines += self._list_few_multiples() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
@@ -151,7 +151,7 @@ class PeriodicSolution(PeriodicMotion):
         few = f"all loads act at multiples of harmonic {base}, and few of these are kept"
         return [f"{few}: give harmonics = {5 * base} or more, or the loads' own frequency with loads at harmonic 1"]
 
-    def _list_hit_modes(self) -> list[str]:
+    def list_hit_modes(self) -> list[str]:
         """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""
         model, x, rate = self.problem.model, self.coordinates, self._rate
         strain, inertia = x @ model.stiffness.T, rate**2 * (x @ model.mass.T)

@@ -9,6 +9,7 @@ import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.errors import NotConverged
 
 RUBS = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
 
@@ -66,3 +67,11 @@ def test_a_limit_that_swings_counts_as_what_acts_at_its_harmonic():
     laws = replace(RUBS, normal_force={0: 1.0, 1: 0.6})
     swings = ContactProblem(replace(model, load={2: model.load[1]}), laws, 0.06)
     assert not any("multiples of harmonic" in line for line in solve(swings).cautions)
+
+
+def test_a_resonance_without_damping_that_has_no_solution_is_named():
+    """Friction alone bounds it; what a user should do is not to ask for fewer harmonics."""
+    model = ReducedModel([[1.0]], [[0.0]], [[1e6]], None, [[1.0]], {1: [100.0]}, outputs={"tip": [1.0]})
+    laws = ContactLaws("prescribed", normal_force=270.0, friction=0.3)
+    with pytest.raises(NotConverged, match=r"\. Harmonic 1 hits a mode without damping, .*: add damping"):
+        solve(ContactProblem(model, laws, 1000 / (2 * np.pi), 5))
