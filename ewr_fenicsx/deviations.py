@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice, pairwise
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -175,15 +175,18 @@ def watch_course(problem: ContactProblem, coordinates: ComplexArray, periods: in
     Raises:
         ModelError, ImportError: As ``differentiate_along``.
     """
-    stepped = list(islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods))
-    if len(stepped) < periods:
+    stepped = islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods)
+    scheme, first = next(stepped, (None, None))
+    last, changes = first, []
+    for _, period in stepped:
+        changes.append(np.linalg.norm(period.positions - last.positions))
+        last = period
+    if len(changes) < periods - 1 or first is None:
         return None
-    positions = [period.positions for _, period in stepped]
-    changes = np.array([np.linalg.norm(after - before) for before, after in pairwise(positions)])
-    distance = float(np.linalg.norm(positions[-1] - positions[0]))
-    swing = max(float(np.linalg.norm(positions[-1] - positions[-1].mean(axis=0))), np.finfo(float).tiny)
-    scheme, last = stepped[-1]
-    return Course(changes / swing, distance / swing, *scheme.contact_amplitudes(last, problem.basis.orders))
+    distance = np.linalg.norm(last.positions - first.positions)
+    swing = max(np.linalg.norm(last.positions - last.positions.mean(axis=0)), np.finfo(float).tiny)
+    amplitudes = scheme.contact_amplitudes(last, problem.basis.orders)
+    return Course(np.array(changes) / swing, float(distance / swing), *amplitudes)
 
 
 def step_from(
