@@ -198,7 +198,7 @@ def step_from(
     scheme = TimeScheme(problem, steps, theta)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
-    impulse = np.zeros(len(problem.system.rows))
+    impulse = scheme.hold_fast_modes(position, velocity)
     while True:
         period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):
