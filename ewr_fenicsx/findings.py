@@ -80,17 +80,15 @@ def list_causes(estimate: ErrorEstimate) -> dict[str, float | None]:
     return {name: float(error) if np.isfinite(error) else None for name, error in causes.items()}
 
 
-def tell_estimate(estimate: ErrorEstimate | None, what: str) -> list[str]:
+def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
     """How far off ``what`` is thought to be of a solution that no accuracy was asked of."""
-    if estimate is None:
-        return []
     remedy = "solver.accuracy = 0.01 takes as many harmonics and modes as that needs"
     if not estimate.total < UNKNOWN:
-        return [f"  NOT accurate: estimated error of {what} {estimate.total:.1g}; {remedy}"]
+        return f"  NOT accurate: estimated error of {what} {estimate.total:.1g}; {remedy}"
     shares = {"harmonics and samples": estimate.harmonics, "modes": estimate.modes}
     told = ", ".join(f"{name} {error:.1g}" for name, error in shares.items() if not np.isnan(error))
     line = f"  estimated error of {what} {estimate.total:.1g} ({told})"
-    return [f"{line}; {remedy}" if estimate.total > COARSE else line]
+    return f"{line}; {remedy}" if estimate.total > COARSE else line
 
 
 def list_accuracy(found: AccurateSolution) -> dict[str, object]:

@@ -15,7 +15,7 @@ import numpy as np
 from ewr_fenicsx import findings
 from ewr_fenicsx.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.errors import EwrError, NotConverged
 from ewr_fenicsx.gathering import measure_thinnest_body
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton import solve
@@ -26,7 +26,6 @@ from ewr_fenicsx.symmetry import find_idle_harmonics
 from ewr_fenicsx.work_folder import refuse_other_work, take_up_model
 
 if TYPE_CHECKING:
-    from ewr_fenicsx.estimates import ErrorEstimate
     from ewr_fenicsx.frequency_sweep import FrequencyResponse
 
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
@@ -81,28 +80,29 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
     lines, facts = [f"  NOT a small motion: {doubt}" for doubt in doubts], {"doubts_of_small_motion": doubts}
     if chain.scene.solver.accuracy is None:
         with watch.stage("estimate"):
-            estimate, what = _estimate(study)
-        lines = [*findings.tell_estimate(estimate, what), *lines]
-        facts["estimate"] = estimate and findings.list_causes(estimate)
+            own, facts["estimate"] = _estimate(study)
+        lines = [*own, *lines]
     told = "\n".join([study.told, *lines])
     return replace(study, seconds=watch.seconds, told=told, facts={**study.facts, **facts})
 
 
-def _estimate(study: Study) -> tuple[ErrorEstimate | None, str]:
-    """Estimated errors of a study's solution, None where nothing is truncated, and of what they are."""
+def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
+    """What is told of a study's estimated errors, and these themselves; None where nothing is truncated, or known."""
     from ewr_fenicsx.estimates import estimate_at_once
 
-    chain, solution = study.chain, study.solution
+    chain, solution, what, rate = study.chain, study.solution, "the response", None
     if not solution.problem.frequency or not solution.unknowns:
-        return None, ""
-    modes = chain.reduction.modal_coordinates
-    if chain.scene.wear is None or len(chain.scene.frequencies) > 1:
-        return estimate_at_once(solution, modes), "the response"
-    from ewr_fenicsx.archard import measure_wear_rate
+        return [], None
+    if chain.scene.wear is not None and len(chain.scene.frequencies) == 1:
+        from ewr_fenicsx.archard import measure_wear_rate
 
-    coefficient = spread_wear(chain.scene, chain.interface)
-    rate = lambda solution: measure_wear_rate(solution, coefficient)  # noqa: E731
-    return estimate_at_once(solution, modes, rate), "the response and the wear rate"
+        coefficient = spread_wear(chain.scene, chain.interface)
+        what, rate = "the response and the wear rate", lambda solution: measure_wear_rate(solution, coefficient)
+    try:
+        estimate = estimate_at_once(solution, chain.reduction.modal_coordinates, rate)
+    except (EwrError, MemoryError) as error:  # the results are there, and not to be lost for it
+        return [f"  its error is not known: {str(error) or 'out of memory'}"], None
+    return [findings.tell_estimate(estimate, what)], findings.list_causes(estimate)
 
 
 def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> Study:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from small_scenes import write_blocks
 
-from ewr_fenicsx import cost_report, solve, solve_to_accuracy
+from ewr_fenicsx import cost_report, estimates, solve, solve_to_accuracy
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
-from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.errors import ModelError, SceneError
 from ewr_fenicsx.scene import Excitation, load_scene
 from ewr_fenicsx.study import run_study
 
@@ -47,6 +47,29 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+
+
+@pytest.mark.parametrize(
+    "error, told", [(MemoryError(), "out of memory"), (ModelError("1.5 Hz hits a mode"), "1.5 Hz hits a mode")]
+)
+def test_an_estimate_that_fails_loses_no_result(tmp_path, capsys, monkeypatch, error, told):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(estimates, "estimate_at_once", fail)
+    assert main(["run", str(write_scene(tmp_path)), "--out", str(tmp_path / "out")]) == 0
+    assert f"its error is not known: {told}" in capsys.readouterr().out
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert facts["estimate"] is None and facts["solution"]["converged"]
+
+
+def test_what_is_not_truncated_has_no_estimate(tmp_path, capsys):
+    """Nothing oscillates: a static solve."""
+    text = write_scene(tmp_path).read_text().split("[excitation]")[0]
+    (tmp_path / "scene.toml").write_text(text.split("[loads.shake]")[0] + "[outputs" + text.split("[outputs")[1])
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert "estimated error" not in capsys.readouterr().out
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["estimate"] is None
 
 
 def test_an_output_that_symmetry_keeps_at_rest_does_not_count(tmp_path):
