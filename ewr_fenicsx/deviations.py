@@ -193,12 +193,12 @@ def step_from(
     problem: ContactProblem, coordinates: ComplexArray, steps: int, theta: float
 ) -> Iterator[tuple[TimeScheme, Period]]:
     """The motion in time that begins on a solution, period by period, within bounds."""
-    from ewr_fenicsx.time_stepping import TimeScheme  # only for those whose deviations grow
+    from ewr_fenicsx.time_stepping import State, TimeScheme  # only for those whose deviations grow
 
     scheme = TimeScheme(problem, steps, theta)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
-    position, velocity = (scheme.contract(each.real) for each in (coordinates.sum(axis=0), rate @ coordinates))
-    impulse = scheme.hold_fast_modes(position, velocity)
+    state = State(coordinates.sum(axis=0).real, (rate @ coordinates).real)
+    position, velocity, impulse = scheme.begin(state)
     while True:
         period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):

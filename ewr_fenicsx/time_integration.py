@@ -287,9 +287,8 @@ def integrate(
     if not is_positive(contact_tolerance):
         raise ModelError(f"contact_tolerance = {contact_tolerance!r}; give a positive one, such as 1e-8")
     scheme = TimeScheme(problem, steps, theta)
-    state = choose_start(problem, start)
-    position, velocity = scheme.contract(state.position), scheme.contract(state.velocity)
-    here, impulse = np.concatenate([position, velocity]), scheme.hold_fast_modes(position, velocity)
+    position, velocity, impulse = scheme.begin(choose_start(problem, start))
+    here = np.concatenate([position, velocity])
     compile_loop()
     begin = time.perf_counter()
     watch, anderson = Watch(scheme), Anderson(scheme)

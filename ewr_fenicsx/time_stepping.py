@@ -129,7 +129,7 @@ class TimeScheme:
             self.keep = self.pull = np.zeros(0)
             self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
             self.pull_dense = np.ascontiguousarray(-dt * self._solve(np.diag(self.stiffness)))
-        ahead = ((theta - self.theta)[:, None]) * self.rows.T
+        ahead = (theta - self.theta)[:, None] * self.rows.T
         self.push = np.ascontiguousarray(self._solve(self.rows.T + ahead))
         echo = self._solve(ahead)
         self.echoes = np.flatnonzero(np.any(echo != 0, axis=1))
@@ -184,25 +184,24 @@ class TimeScheme:
         """Modal values ``(steps, n')`` at each mode's ``theta`` between those at the begin and at the end of steps."""
         return (1 - self.thetas) * begins + self.thetas * ends
 
-    def contract(self, vector: RealArray) -> RealArray:
-        """Modal coordinates ``(n',)`` of reduced ones ``(n,)``, bonded motions left out."""
-        return self._contraction @ vector
+    def begin(self, state: State) -> tuple[RealArray, RealArray, RealArray]:
+        """Where a motion begins: modal coordinates and velocities ``(n',)``, bonded motions left out, and impulses.
+
+        The impulses ``(m,)`` of the step before are those under which the modes with a ``theta`` of their own are in
+        balance [N s].
+        """
+        position, velocity = self._contraction @ state.position, self._contraction @ state.velocity
+        load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
+        force = self.stiffness * position + self.damping @ velocity - load
+        fast = self.thetas != self.theta
+        impulse = self.dt * np.linalg.lstsq(self.rows[:, fast].T, force[fast], rcond=1e-12)[0]
+        return position, velocity, impulse
 
     def contact_amplitudes(self, period: Period, orders: Sequence[int]) -> tuple[ComplexArray, ComplexArray]:
         """One-sided complex amplitudes of the contact rows' forces [N] and motions [m] over a period, ``(n_h, m)``."""
         late = 2 * np.pi * self.theta / self.steps  # an impulse belongs to the middle of its step
         force = to_amplitudes(period.impulses / self.dt, orders) * np.exp(-1j * late * np.array(orders))[:, None]
         return force, to_amplitudes(period.positions[:-1] @ self.rows.T, orders)
-
-    def hold_fast_modes(self, position: RealArray, velocity: RealArray) -> RealArray:
-        """``(m,)`` impulses a step under which modes with a ``theta`` of their own are in balance at ``tau = 0`` [N s].
-
-        Args:
-            position, velocity: ``(n',)`` modal coordinates.
-        """
-        load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
-        force = self.stiffness * position + self.damping @ velocity - load
-        return self.dt * np.linalg.lstsq(self.rows[:, self.echoes].T, force[self.echoes], rcond=1e-12)[0]
 
     def run_period(
         self, position: RealArray, velocity: RealArray, impulse: RealArray, tolerance: float, sweeps: int

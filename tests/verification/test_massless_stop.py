@@ -12,6 +12,7 @@ from small_models import stop_oscillator
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, initial_states, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.time_integration import integrate
+from ewr_fenicsx.time_stepping import TimeScheme
 
 STOP = ContactLaws(tangential="frictionless", initial_gap=1.0)
 
@@ -53,6 +54,23 @@ def test_a_stop_without_mass_is_stepped_with_second_order(coupled):
         errors.append(abs(steady.output("tip")[1] - exact) / abs(exact))
     assert errors[1] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15) == errors[1] / errors[2]
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_a_motion_begins_with_the_contact_force_that_its_start_has(damping):
+    """Of modes without mass alone: the others' inertia is no contact force, also where damping couples all of them."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 1.0, 0.0]),
+        damping=np.diag([damping, 0.01, 0.0]),
+        stiffness=[[1.6, -0.6, 0.0], [-0.6, 2.6, -1.0], [0.0, -1.0, 1.0]],
+        normal=[[0.0, 0.0, -1.0]],
+        load={0: [0.0, 9.0, 0.0], 1: [0.5, 0.8, 0.0]},
+        outputs={"tip": [0.0, 1.0, 0.0]},
+    )
+    found = solve(ContactProblem(model, replace(STOP, initial_gap=0.5), 0.16, 21))
+    scheme = TimeScheme(found.problem, 400)
+    impulse = scheme.begin(initial_states.state_of(found))[2]
+    assert impulse / scheme.dt == pytest.approx(found.history("normal_force", 8)[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("stop_mass", [0.0, 1e-6, 0.1])
