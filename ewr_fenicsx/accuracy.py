@@ -85,15 +85,12 @@ class AccurateSolution:
     def summary(self) -> str:
         """A few lines for people."""
         found, orders = self.estimate, self.solution.orders
-        first = "harmonics and samples" if np.isnan(found.samples) else "harmonics"
-        parts = {first: found.harmonics, "samples": found.samples, "weight": found.weight, "modes": found.modes}
-        shares = ", ".join(f"{name} {value:.1g}" for name, value in parts.items() if not np.isnan(value))
         closures, count = " and ".join(self.solution.problem.system.closures), len(self.levels)
         closed = f" closed by {closures}" if closures else ""
         lines = [
-            f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({shares}), {len(orders)} harmonics up to "
-            f"{orders[-1]}{closed}, {self.solution.problem.basis.samples} samples, {count} solve{'s' * (count != 1)}, "
-            f"{self.seconds:.2f} s"
+            f"estimated error {found.total:.1g} of {self.accuracy:g} asked ({found.shares}), {len(orders)} harmonics "
+            f"up to {orders[-1]}{closed}, {self.solution.problem.basis.samples} samples, "
+            f"{count} solve{'s' * (count != 1)}, {self.seconds:.2f} s"
         ]
         modes = [level.modes for level in self.levels]
         if modes and modes[-1] > modes[0]:
@@ -348,7 +345,7 @@ def judge(
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples)
     weight = estimate_weight(solution, figure) if CLEAR * error >= accuracy else np.nan
-    error_of_modes = estimate_modes(solution, modes, figure) if len(modes) else np.nan
+    error_of_modes = estimate_modes(solution, modes, figure)
     return ErrorEstimate(error, np.nan, weight, error_of_modes)
 
 

@@ -69,6 +69,13 @@ class ErrorEstimate:
         return float(np.nansum([self.harmonics, self.weight, self.samples, self.modes]))
 
     @property
+    def shares(self) -> str:
+        """What each cause does that was looked at, for people."""
+        first = "harmonics and samples" if np.isnan(self.samples) else "harmonics"
+        causes = {first: self.harmonics, "samples": self.samples, "weight": self.weight, "modes": self.modes}
+        return ", ".join(f"{name} {error:.1g}" for name, error in causes.items() if not np.isnan(error))
+
+    @property
     def truncation(self) -> float:
         """What more harmonics would take away: what they leave out, and what the weight does."""
         return float(self.harmonics + np.nan_to_num(self.weight))
@@ -208,7 +215,7 @@ def estimate_errors(
     causes = (estimate_harmonics, estimate_samples, estimate_weight)
     return ErrorEstimate(
         *(estimate(solution, figure) for estimate in causes),
-        estimate_modes(solution, modes, figure) if len(modes) else np.nan,
+        estimate_modes(solution, modes, figure),
     )
 
 
@@ -221,7 +228,7 @@ def estimate_at_once(
         solution, modes, figure: As in ``estimate_errors``.
     """
     error = estimate_together(solution, USUAL, figure)
-    return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure) if len(modes) else np.nan)
+    return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure))
 
 
 def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:
@@ -245,9 +252,11 @@ def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Fig
 
     Args:
         solution: Converged.
-        modes: Which coordinates of the model are modal, by rising frequency.
+        modes: Which coordinates of the model are modal, by rising frequency; none: NaN, for it is not looked at.
         figure: As in ``measure_distance``.
     """
+    if not len(modes):
+        return np.nan
     problem = solution.problem
     count = max(1, round(MODES_DROPPED * len(modes)))
     fewer = list(modes)[-count:]

@@ -85,9 +85,7 @@ def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
     remedy = "solver.accuracy = 0.01 takes as many harmonics and modes as that needs"
     if not estimate.total < UNKNOWN:
         return f"  NOT accurate: estimated error of {what} {estimate.total:.1g}; {remedy}"
-    shares = {"harmonics and samples": estimate.harmonics, "modes": estimate.modes}
-    told = ", ".join(f"{name} {error:.1g}" for name, error in shares.items() if not np.isnan(error))
-    line = f"  estimated error of {what} {estimate.total:.1g} ({told})"
+    line = f"  estimated error of {what} {estimate.total:.1g} ({estimate.shares})"
     return f"{line}; {remedy}" if estimate.total > COARSE else line
 
 

@@ -272,8 +272,7 @@ def frequency_response(
         report(len(blocks))
     curves = {}
     for curve, follower, (label, problem) in zip(joined, followers, asked.items(), strict=True):
-        found = {s.problem.frequency for s in curve.points}
-        missing = tuple(f for f in targets if f not in found)
+        missing = find_missing(targets, curve.points)
         points = curve.points
         if find_idle_harmonics(problem).orders:
             whole = [adopt_weights(replace(problem, frequency=s.problem.frequency), s.problem) for s in points]
@@ -286,6 +285,12 @@ def frequency_response(
     if store:
         do_on_rank_zero(lambda: _write_results(store.folder, curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
+
+
+def find_missing(frequencies: Sequence[float], solutions: Sequence[PeriodicSolution]) -> tuple[float, ...]:
+    """Frequencies at which there is no solution."""
+    known = {s.problem.frequency for s in solutions}
+    return tuple(f for f in frequencies if f not in known)
 
 
 def thin_out(curve: FrequencyResponse, frequencies: Sequence[float]) -> FrequencyResponse:
@@ -323,13 +328,10 @@ def refine_response(
     found = refine_points(
         problem, points, accuracy, tolerance, modes=modes, folder=folder, comm=comm, progress=progress
     )
-    solved = [(point, here) for point, here in zip(points, found, strict=True) if here.solution.converged]
-    points, found = [point for point, _ in solved], [here for _, here in solved]
-    known = {point.problem.frequency for point in points}
-    missing = sorted({*curve.missing, *(f for f in frequencies if f not in known)})
     found, jumps = join_points(points, found, frequencies, tolerance)
     jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
-    return FrequencyResponse(tuple(f.solution for f in found), tuple(jumps), tuple(missing), tuple(found))
+    solutions = tuple(f.solution for f in found)
+    return FrequencyResponse(solutions, tuple(jumps), find_missing(frequencies, solutions), tuple(found))
 
 
 def _solve_block(follower: Follower, block: Block, store: BlockStore | None) -> tuple[list[Record], list[Jump]]:

@@ -187,7 +187,7 @@ def list_remedies(best: PeriodicSolution) -> str:
     if own and not np.isfinite(residual):
         return f". Laws return infinities or NaN: look at {own}"
     if hit := best.list_hit_modes():
-        return f". {hit[0][0].upper()}{hit[0][1:]}"
+        return f". {hit[0].capitalize()}"
     last = "integrate(problem) shows whether the motion becomes periodic at all"
     if own:
         last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"

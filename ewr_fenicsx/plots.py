@@ -299,13 +299,13 @@ def draw_curves(
 def _join_alike(series: Mapping[str, RealArray]) -> list[tuple[str, RealArray]]:
     """Names and values of curves; of those that nobody could tell apart one, under the names of all."""
     joined: list[tuple[str, RealArray]] = []
-    for name, values in ((name, np.asarray(values)) for name, values in series.items()):
-        like = (i for i, (_, known) in enumerate(joined) if np.abs(known - values).max() <= ALIKE * np.abs(known).max())
-        at = next(like, None)
-        if at is None:
-            joined.append((name, values))
+    for name, values in series.items():
+        for i, (names, known) in enumerate(joined):
+            if np.abs(known - values).max() <= ALIKE * np.abs(known).max():
+                joined[i] = f"{names}\n= {name}", known
+                break
         else:
-            joined[at] = f"{joined[at][0]}\n= {name}", joined[at][1]
+            joined.append((name, np.asarray(values)))
     return joined
 
 

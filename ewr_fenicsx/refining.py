@@ -140,7 +140,7 @@ def join_points(
     """The curve of the accurate solutions: those that fell off their branch are left out, or a break is told.
 
     A branch with more harmonics may turn back before one with few does. Next to a fold, a solve then ends far from
-    where it started, on another branch.
+    where it started, on another branch. Points without a solution on the model are left out everywhere.
 
     Args:
         points: The curve that the accurate solutions come from.
@@ -154,6 +154,8 @@ def join_points(
     kept: list[tuple[PeriodicSolution, AccurateSolution]] = []
     jumps = []
     for point, here in zip(points, found, strict=True):
+        if not here.solution.converged:
+            continue
         moved, wanted = measure_gap(point, here.solution), point.problem.frequency in frequencies
         fell = moved > LARGEST_SURPRISE
         other_side = moved > SAME * here.accuracy and point.side * here.solution.side < 0
