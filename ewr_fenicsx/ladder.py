@@ -8,6 +8,7 @@ are all the Newton steps that the way took:
 3. ``walk_weights``: weights of the laws far from the defaults are approached from there.
 4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
 5. ``trace_load``: the oscillating load from a small share to the whole, past folds.
+6. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 
 ``start_cold`` is the first, or else the second. ``climb`` takes 4. and 5. along: through more sets of harmonics, with
 both on any set where Newton stalls.
@@ -23,6 +24,7 @@ from itertools import islice
 import numpy as np
 
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
+from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -38,6 +40,10 @@ COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
+LARGEST_DAMPED, DAMPED_POINTS = 1000, 400  # the same where damping falls, and that branch's points: it has many corners
+# Damping that is added, in turn until a cold start finds a solution: over omega times the mass, plus stiffness over
+# omega. And below which of it a branch is traced in equal steps of the damping, above in those of its logarithm.
+DAMPINGS, LIGHT = (0.1, 3.0, 100.0, 1000.0), 1e-3
 MOST_STEPS = 500  # Newton steps after which no further path is begun
 SHARP = 1e-7  # width of rounded corners, over the mean contact force, that counts as sharp
 BLUNT = 8.0 ** np.arange(5)  # widths in turn, where the rounded branch begins at full stick
@@ -220,6 +226,45 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
     return follow(balance, at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
 
 
+def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Follow the solution from that of a strongly damped model to the model's own damping.
+
+    Bodies that leave each other and bounce have many motions, or none that is easily found. Damping of the deformation
+    alone would leave those of floating bodies as they are: the damping that is added acts on all motion.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    system, omega = balance.system, balance.compliance.omega
+    model, mean = system.model, int(balance.basis.has_mean)  # damping changes nothing of the mean
+    drag = omega * model.mass + model.stiffness / omega
+
+    def damp(added: float, least_share: float) -> HarmonicBalance:
+        damped = replace(model, damping=model.damping + added * drag)
+        moved = condense(damped, system.rows, system.load, omega, balance.basis.orders[mean:])
+        flexibility, motion = balance.compliance.flexibility.copy(), balance.compliance.free_motion.copy()
+        flexibility[mean:], motion[mean:] = moved.flexibility, moved.free_motion
+        compliance = replace(balance.compliance, flexibility=flexibility, free_motion=motion)
+        return HarmonicBalance(replace(system, compliance=compliance), balance.force_unit, least_share)
+
+    steps = failed.iterations
+    for most in DAMPINGS:
+        attempt = start_cold(damp(most, 0.0), tolerance, "elimination", COARSE_LEVELS, COARSE_TOLERANCE)
+        steps += attempt.iterations
+        if attempt.converged:
+            break
+    counted = replace(failed, iterations=steps)
+    if not attempt.converged:
+        return replace(counted, reason="no solution with so much damping either")
+    length = np.log1p(most / LIGHT)
+
+    def at(share: float) -> HarmonicBalance:  # a trial may go anywhere
+        return damp(LIGHT * np.expm1(length * (1 - min(max(share, -0.5), 1.05))), FIRM)
+
+    what = "of the way from strong damping"
+    return follow(balance, at, 0.0, attempt.unknowns, tolerance, counted, what, DAMPED_POINTS)
+
+
 def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactSystem, found: Attempt) -> Attempt:
     """Follow the solution from that of a system with other weights of the laws, in equal steps of their logarithms.
 
@@ -251,6 +296,7 @@ def follow(
     tolerance: float,
     failed: Attempt,
     what: str,
+    points: int = BRANCH_POINTS,
 ) -> Attempt:
     """Trace a branch by arc length, past folds, from a solution at ``begin`` to the goal at a parameter of one.
 
@@ -259,7 +305,7 @@ def follow(
     """
     here, steps, reach = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
     branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
-    for _ in range(BRANCH_POINTS):
+    for _ in range(points):
         if (point := next(branch, None)) is None:
             break
         steps += point.steps

@@ -19,6 +19,7 @@ from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     COARSE_TOLERANCE,
     FINE_LEVELS,
+    LARGEST_DAMPED,
     LARGEST_TRACED,
     SPRING_LEVELS,
     SPRING_TOLERANCE,
@@ -26,6 +27,7 @@ from ewr_fenicsx.ladder import (
     climb,
     sharpen_corners,
     start_cold,
+    trace_damping,
     trace_load,
     walk_weights,
 )
@@ -63,9 +65,10 @@ def solve(
     one holds: from where operator splitting ends, or else from the linear full-stick solution up through growing
     sets of harmonics, each starting at the one before; from where a few periods of time stepping end; laws with
     rounded corners that are sharpened along their branch; these through more sets of harmonics, with the
-    oscillating load traced from a small share to the whole, past folds; and that tracing by itself. Weights of
-    one's own that the first climb does not find are come to from a solution with the default ones, which takes all
-    these rungs and is the answer itself where no way leads on.
+    oscillating load traced from a small share to the whole, past folds; that tracing by itself; and damping traced
+    from where little can bounce to the model's own. Weights of one's own that the first climb does not find are come
+    to from a solution with the default ones, which takes all these rungs and is the answer itself where no way leads
+    on.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -170,6 +173,8 @@ def list_rungs(
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+    if problem.frequency and balance.size <= LARGEST_DAMPED:
+        yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
 
 
 def list_remedies(best: PeriodicSolution) -> str:

@@ -30,7 +30,7 @@ from ewr_fenicsx.solution_store import restore, strip
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import hard_cases
-from degenerate_cases import DEGENERATE, shake_dovetail
+from degenerate_cases import DEGENERATE, press_one_pair, shake_dovetail
 from hard_cases import draw_cases, run_case, run_sampled
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
@@ -192,6 +192,43 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so():
     assert not attempt.converged and "from period to period its motion still changes by" in attempt.reason
 
 
+@pytest.mark.parametrize(
+    "case",
+    [
+        hard_cases.Case("dovetail", 1 / 3, ("reached", 3.0), 1.5, 5, 0.05, "closed", (1, 1)),
+        hard_cases.Case("lap joint", 2.0, ("reached", 3.0), 0.01, 15, 0.005, "even", (1, 1)),
+    ],
+    ids=lambda case: case.model,
+)
+def test_falling_damping_leads_where_no_other_way_does(case):
+    """Bodies leave each other and bounce; damping that hardly lets them falls to the model's own."""
+    problem = hard_cases.pose_case(case)
+    balance = HarmonicBalance(problem.system)
+    lost = ladder.begin_at_full_stick(balance)
+    assert not ladder.start_cold(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, ladder.COARSE_TOLERANCE).converged
+    found = ladder.trace_damping(balance, 1e-8, lost)
+    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+    merit = newton.wrap(problem, balance, [found], (), 0.0).merit
+    assert abs(merit["energy_error"]) < 1e-2  # with the model's own damping, not that which was added
+
+
+def test_falling_damping_ends_at_the_solution_where_there_is_one():
+    """The last of all rungs, up to a size; without any damping of the model's own, too."""
+    for damping in (0.005, None):
+        case = hard_cases.Case("lap joint", 0.5, ("reached", 1.0), 0.2, 3, damping or 0.005, "closed", (1, 1))
+        problem = hard_cases.pose_case(case)
+        if damping is None:
+            problem = replace(problem, model=replace(problem.model, damping=0 * problem.model.damping))
+        balance = HarmonicBalance(problem.system)
+        found = ladder.trace_damping(balance, 1e-8, ladder.begin_at_full_stick(balance))
+        usual = solve(problem)
+        forces = balance.unpack(found.unknowns)[0]
+        assert found.converged
+        np.testing.assert_allclose(forces, usual.forces, rtol=0, atol=1e-6 * np.abs(usual.forces).max())
+        rungs = [name for name, _ in newton.list_rungs(problem, balance, None, 1e-8, "elimination")]
+        assert rungs[-1] == "falling damping"
+
+
 def test_rounded_corners_are_begun_where_newton_stalled():
     """One pair of seven grazes, and Newton ends close to the solution at a corner, or not: a matter of rounding.
 
@@ -311,10 +348,13 @@ def test_a_stiff_pair_weighs_no_more_than_a_soft_one():
     assert np.all(np.isfinite(forces)) and forces[0].real == pytest.approx(np.full(8, forces[0, 0].real), rel=0.5)
 
 
-@pytest.mark.slow
-def test_a_thousand_identical_pairs_act_as_one():
-    many = solve_degenerate(MANY)
-    one = solve(replace(DEGENERATE["one pair"](), harmonics=1))
+@pytest.mark.parametrize("pairs", [10, pytest.param(1000, marks=pytest.mark.slow)])
+def test_identical_pairs_act_as_one(pairs):
+    """Their forces add up, and so does what their weights stand for: springs and dashpots side by side."""
+    many = solve_degenerate(MANY) if pairs == 1000 else solve(replace(press_one_pair(pairs), harmonics=1))
+    normal, tangential = (law.rho[0] for law in many.problem.system.laws)
+    single = replace(press_one_pair(1), harmonics=1, rho_normal=pairs * normal, rho_tangential=tangential / pairs)
+    one = solve(single)
     np.testing.assert_allclose(many.output("tip"), one.output("tip"), atol=1e-6 * np.abs(one.output("tip")).max())
     total = many.pair_forces["normal"].sum(axis=1)
     np.testing.assert_allclose(total, one.pair_forces["normal"][:, 0], atol=1e-6 * np.abs(total).max())
