@@ -213,6 +213,27 @@ class HarmonicBalance:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
         return step
 
+    def take_whole_steps(
+        self, unknowns: RealArray, most: int, tolerance: float, motion: ComplexArray | None = None
+    ) -> RealArray | None:
+        """Unknowns where Newton's method comes to without a line search, in ``most`` steps at most; None if nowhere.
+
+        Args:
+            unknowns: ``(size,)`` scaled, where it begins.
+            most: Linearisations.
+            tolerance: Residual norm accepted.
+            motion: At which the first step linearises the laws, as in ``linearise``.
+        """
+        for _ in range(most):
+            step = self.linearise(unknowns, motion)
+            if motion is None and np.linalg.norm(step.residual) < tolerance:
+                return unknowns
+            try:
+                unknowns, motion = unknowns - step.solve(step.residual), None
+            except np.linalg.LinAlgError:
+                break
+        return None
+
     def differentiate(self, responses: Sequence[Response]) -> tuple[Derivative, ...]:
         """Derivatives of all laws by what is unknown, from their responses."""
         derivatives = []

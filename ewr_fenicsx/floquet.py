@@ -122,16 +122,10 @@ def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coo
 def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, course: Course) -> bool:
     """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
     balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
-    here, unknowns, motion = balance.pack(forces, rigid), balance.pack(course.forces, rigid), course.motion
-    for _ in range(NEWTON_STEPS):
-        step = balance.linearise(unknowns, motion)
-        if motion is None and np.linalg.norm(step.residual) < SOLVED:
-            return bool(np.linalg.norm(unknowns - here) > ELSEWHERE * np.linalg.norm(here))
-        try:
-            unknowns, motion = unknowns - step.solve(step.residual), None
-        except np.linalg.LinAlgError:
-            break
-    return False  # nothing is known
+    here, begin = balance.pack(forces, rigid), balance.pack(course.forces, rigid)
+    found = balance.take_whole_steps(begin, NEWTON_STEPS, SOLVED, course.motion)
+    # where none is found, nothing is known
+    return found is not None and bool(np.linalg.norm(found - here) > ELSEWHERE * np.linalg.norm(here))
 
 
 def measure_growth(whole: RealArray) -> float:

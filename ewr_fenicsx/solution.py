@@ -219,16 +219,11 @@ class PeriodicSolution(PeriodicMotion):
         if "masses" not in closures:
             return here
         balance, unknowns = here._pose()
-        for _ in range(SETTLING):
-            step = balance.linearise(unknowns)
-            if np.linalg.norm(step.residual) < SETTLED:
-                forces, rigid = balance.unpack(unknowns)
-                return replace(here, forces=forces, rigid=rigid)
-            try:
-                unknowns = unknowns - step.solve(step.residual)
-            except np.linalg.LinAlgError:
-                break
-        return here
+        found = balance.take_whole_steps(unknowns, SETTLING, SETTLED)
+        if found is None:
+            return here
+        forces, rigid = balance.unpack(found)
+        return replace(here, forces=forces, rigid=rigid)
 
     @property
     def unstable(self) -> bool:
