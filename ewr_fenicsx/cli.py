@@ -1,6 +1,7 @@
 """The command ``ewr``: solve a scene, or tell what it holds.
 
-Exit codes: 0 done, 2 something that the user can mend (one message, no traceback), 3 no periodic solution found.
+Exit codes: 0 done, 2 something that the user can mend (one message, no traceback), 3 no periodic solution found,
+130 interrupted, by Ctrl-C or a job scheduler.
 Heavy imports wait until the scene has been read, so that help and mistakes in scenes come at once.
 """
 
@@ -58,7 +59,8 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
     parser = argparse.ArgumentParser(
         prog="ewr",
         description="Contact, friction and wear in vibrating joints, by harmonic balance.",
-        epilog="ewr COMMAND --help tells more. Exit codes: 0 done, 2 something that you can mend, 3 no solution found.",
+        epilog="ewr COMMAND --help tells more. Exit codes: 0 done, 2 something that you can mend, 3 no solution found, "
+        "130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"ewr_fenicsx {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

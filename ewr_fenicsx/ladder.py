@@ -7,10 +7,10 @@ are all the Newton steps that the way took:
 2. ``climb``: growing sets of harmonics, each started at the one before.
 3. ``walk_weights``: weights of the laws far from the defaults are approached from there.
 4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-5. ``trace_load``: the oscillating load from a small share to the whole, past folds.
-6. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+6. ``trace_load``: the oscillating load from a small share to the whole, past folds.
 
-``start_cold`` is the first, or else the second. ``climb`` takes 4. and 5. along: through more sets of harmonics, with
+``start_cold`` is the first, or else the second. ``climb`` takes 4. and 6. along: through more sets of harmonics, with
 both on any set where Newton stalls.
 """
 
@@ -204,28 +204,6 @@ def _round_until_solved(at: BalanceAt, start: RealArray, widths: Sequence[float]
     return None, steps
 
 
-def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """Follow the solution from a small share of the oscillating load to the whole.
-
-    Returns:
-        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
-    """
-    compliance = balance.compliance
-    oscillates = np.array(balance.basis.orders) > 0
-
-    def at(share: float) -> HarmonicBalance:
-        motion = np.where(oscillates[:, None], share * compliance.free_motion, compliance.free_motion)
-        system = replace(balance.system, compliance=replace(compliance, free_motion=motion))
-        return HarmonicBalance(system, balance.force_unit, FIRM)
-
-    first = at(FIRST_LOAD_SHARE)
-    attempt = run_newton(first, first.pack(*first.full_stick), tolerance, "elimination")
-    counted = replace(failed, iterations=failed.iterations + attempt.iterations)
-    if not attempt.converged:
-        return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
-    return follow(balance, at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
-
-
 def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
     """Follow the solution from that of a strongly damped model to the model's own damping.
 
@@ -263,6 +241,28 @@ def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -
 
     what = "of the way from strong damping"
     return follow(balance, at, 0.0, attempt.unknowns, tolerance, counted, what, DAMPED_POINTS)
+
+
+def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Follow the solution from a small share of the oscillating load to the whole.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    compliance = balance.compliance
+    oscillates = np.array(balance.basis.orders) > 0
+
+    def at(share: float) -> HarmonicBalance:
+        motion = np.where(oscillates[:, None], share * compliance.free_motion, compliance.free_motion)
+        system = replace(balance.system, compliance=replace(compliance, free_motion=motion))
+        return HarmonicBalance(system, balance.force_unit, FIRM)
+
+    first = at(FIRST_LOAD_SHARE)
+    attempt = run_newton(first, first.pack(*first.full_stick), tolerance, "elimination")
+    counted = replace(failed, iterations=failed.iterations + attempt.iterations)
+    if not attempt.converged:
+        return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
+    return follow(balance, at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
 
 
 def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactSystem, found: Attempt) -> Attempt:

@@ -64,11 +64,10 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until
     one holds: from where operator splitting ends, or else from the linear full-stick solution up through growing
     sets of harmonics, each starting at the one before; from where a few periods of time stepping end; laws with
-    rounded corners that are sharpened along their branch; these through more sets of harmonics, with the
-    oscillating load traced from a small share to the whole, past folds; that tracing by itself; and damping traced
-    from where little can bounce to the model's own. Weights of one's own that the first climb does not find are come
-    to from a solution with the default ones, which takes all these rungs and is the answer itself where no way leads
-    on.
+    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
+    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
+    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find are come to
+    from a solution with the default ones, which takes all these rungs and is the answer itself where no way leads on.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -169,12 +168,12 @@ def list_rungs(
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
+    if problem.frequency and balance.size <= LARGEST_DAMPED:
+        yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
     rungs = (sharpen_corners, trace_load)
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
-    if problem.frequency and balance.size <= LARGEST_DAMPED:
-        yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
 
 
 def list_remedies(best: PeriodicSolution) -> str:
