@@ -40,7 +40,7 @@ COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
-LARGEST_DAMPED, DAMPED_POINTS = 1000, 400  # the same where damping falls, and that branch's points: it has many corners
+LARGEST_DAMPED, DAMPED_POINTS = 500, 400  # the same where damping falls: its branch has more corners, and more points
 # Damping that is added, in turn until a cold start finds a solution: over omega times the mass, plus stiffness over
 # omega. And below which of it a branch is traced in equal steps of the damping, above in those of its logarithm.
 DAMPINGS, LIGHT = (0.1, 3.0, 100.0, 1000.0), 1e-3
