@@ -10,7 +10,7 @@ export OMP_NUM_THREADS = $(THREADS)
 help:
 	@echo 'make demo         install what is missing, solve the blade root, name the files written'
 	@echo 'make test         install what is missing, run the tests'
-	@echo 'make test-all     the slow tests as well, and what they need (ParaView: 1 GB on disk)'
+	@echo 'make test-all     the slow tests as well, and what they need (ParaView: 1 GB on disk; pyHarm)'
 	@echo 'make test-trixie  make test on Debian 13, in a chroot (as root)'
 	@echo 'make clean        remove .venv and build/'
 
@@ -19,6 +19,7 @@ setup:
 
 setup-full:
 	@tools/setup.sh full
+	@cd benchmarks && ../.venv/bin/python -c 'import peers; peers.build_environment()'
 
 demo: setup
 	.venv/bin/python demos/blade_root.py
