@@ -27,6 +27,7 @@ from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
+from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
@@ -111,7 +112,8 @@ def climb(
 ) -> Attempt:
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
-    On a set where Newton stalls, ``rungs`` are tried in turn, if the set is small enough for them.
+    On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
+    are any and the set is small enough for them.
     """
     below, attempt, steps = None, None, 0
     for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
@@ -120,6 +122,10 @@ def climb(
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
         goal, limit = (tolerance, None) if last else (coarse_tolerance, COARSE_STEPS)
         attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit, near=below is not None)
+        if rungs and below is not None and not attempt.converged:
+            split = split_at_length(level, guess[0], level.compliance.motion(*guess), goal, linear_solver)
+            if split is not None:
+                attempt = replace(min(attempt, split), iterations=attempt.iterations + split.iterations)
         for rung in rungs:
             if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:
                 attempt = rung(level, goal, attempt)

@@ -32,6 +32,7 @@ from ewr_fenicsx.ladder import (
     walk_weights,
 )
 from ewr_fenicsx.law_kinds import is_own
+from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
@@ -41,6 +42,7 @@ from ewr_fenicsx.warm_starts import go_on_from, guide
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
 TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
 TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
+TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
 # Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
 APERIODIC, LAST_PERIODS = 0.1, 10
 # Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
@@ -63,11 +65,12 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until
     one holds: from where operator splitting ends, or else from the linear full-stick solution up through growing
-    sets of harmonics, each starting at the one before; from where a few periods of time stepping end; laws with
-    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
-    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
-    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find are come to
-    from a solution with the default ones, which takes all these rungs and is the answer itself where no way leads on.
+    sets of harmonics, each starting at the one before; from where a few periods of time stepping end, and a long
+    splitting leads from there; laws with rounded corners that are sharpened along their branch; damping traced from
+    where little can bounce to the model's own; rounded corners through more sets of harmonics, with the oscillating
+    load traced from a small share to the whole, past folds; and that tracing by itself. Weights of one's own that the
+    first climb does not find are come to from a solution with the default ones, which takes all these rungs and is
+    the answer itself where no way leads on.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -243,10 +246,9 @@ def start_from_time_stepping(
 ) -> Attempt:
     """Newton from where some coarse periods of time stepping end, which find their way however hard the contact.
 
-    Both starts are worth trying: the forces themselves, and a step of the laws linearised at forces and motions.
+    A long splitting leads on from there. Else two starts are worth trying: the forces themselves, and a step of the
+    laws linearised at forces and motions.
     """
-    if best.residual < GROSS:
-        return replace(best, iterations=0, reason="not needed: what was found is close")
     from ewr_fenicsx.time_integration import integrate  # only for those whom Newton fails
 
     try:
@@ -265,18 +267,23 @@ def start_from_time_stepping(
     forces, motion = steady.contact_amplitudes
     if not np.all(np.isfinite(forces)):
         return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")
+    attempt, steps = best, 0
+    if split := split_at_length(balance, forces, motion, tolerance, linear_solver):
+        if split.converged:
+            return split
+        attempt, steps = min(best, split), split.iterations
     rigid = np.zeros(balance.rigid)
     if balance.rigid:
         unmoved = balance.compliance.motion(forces, rigid)[0].real
         rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
     starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
     starts = sorted((u for u in starts if np.all(np.isfinite(u))), key=lambda u: np.linalg.norm(balance.residual(u)))
-    attempt, steps = best, 1
+    steps += 1
     for unknowns in starts:
-        found = run_newton(balance, unknowns, tolerance, linear_solver)
+        found = run_newton(balance, unknowns, tolerance, linear_solver, TIME_NEWTON)
         steps += found.iterations
         attempt = min(attempt, found)
-        if attempt.residual < GROSS:
+        if found.residual < GROSS:
             break
     change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
     told = f"from period to period its motion still changes by {change:.0%} after {steady.periods}"
@@ -312,7 +319,9 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    last = go_on_from(solution, balance, tolerance, linear_solver)
+    motion = usual.system.compliance.motion(solution.forces, solution.rigid)
+    last = split_at_length(balance, solution.forces, motion, tolerance, linear_solver)
+    last = last or go_on_from(solution, balance, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations)
     joined = not problem.system.closures and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
     if joined and not last.converged:

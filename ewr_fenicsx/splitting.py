@@ -38,8 +38,7 @@ from ewr_fenicsx.law_kinds import Law
 # as pairs that slip move each other. A few times either way cost some iterations.
 SCALE = {"displacement": 3.0, "velocity": 1.0}
 SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as in a balance; and at least
-WINDOW, ROUNDING = 10, 1e-10  # iterations that the extrapolation looks back on, and what is rounding in its equations
-ITERATIONS, PATIENCE, PROGRESS = 400, 100, 0.7  # at most; and in how many the defect must fall to what share of itself
+PROGRESS, ROUNDING = 0.7, 1e-10  # share of itself to which a defect must fall in time; rounding in the extrapolation
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
 WORTHWHILE = 200
 # Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
@@ -47,6 +46,17 @@ WORTHWHILE = 200
 TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
 # Over the unit of force: the least forces beside which a defect is measured, and the largest state that leads anywhere.
 LEAST, LOST = 1e-4, 1e6
+
+
+class Effort(NamedTuple):
+    """How far a splitting goes."""
+
+    iterations: int  # at most
+    patience: int  # iterations in which the defect must fall to ``PROGRESS`` of itself
+    window: int  # iterations that the extrapolation looks back on
+
+
+QUICK = Effort(400, 100, 10)
 
 
 class Split(NamedTuple):
@@ -59,7 +69,12 @@ class Split(NamedTuple):
 
 def can_split(balance: HarmonicBalance) -> bool:
     """Whether a splitting is worth its while, and all laws are projections."""
-    return balance.size >= WORTHWHILE and all(law.opposes for law in balance.system.laws)
+    return balance.size >= WORTHWHILE and are_projections(balance)
+
+
+def are_projections(balance: HarmonicBalance) -> bool:
+    """Whether all laws of a balance are projections."""
+    return all(law.opposes for law in balance.system.laws)
 
 
 class Splitting:
@@ -68,6 +83,7 @@ class Splitting:
     Args:
         balance: A balance all of whose laws are projections.
         samples: A period, at least; more where the harmonics need them.
+        softness: Share of its usual scale that a row takes whose law opposes displacements.
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
@@ -77,7 +93,7 @@ class Splitting:
         numpy.linalg.LinAlgError: The structure has no answer.
     """
 
-    def __init__(self, balance: HarmonicBalance, samples: int = 0):
+    def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
         needed = max(FEWEST_SAMPLES, samples, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
@@ -89,6 +105,7 @@ class Splitting:
             self.scale[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
+        self.scale[~self.by_rate] *= softness
         self.scale[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             if law.impedance is not None:
@@ -206,17 +223,18 @@ def find_near(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray])
     return (found.state, splitting.unknowns(found.state)) if found.defect < NEAR_ENOUGH * goal else None
 
 
-def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
+def settle(splitting: Splitting, state: RealArray, tolerance: float, effort: Effort = QUICK) -> Split:
     """Iterates until the defect, over the forces or the unit of force where that is less, is at most a tolerance.
 
     Stops where it falls no further, too. The unit may be far above the forces: at a resonance, or where gaps are wide.
     Anderson's extrapolation combines the last iterations so that the defect would be least, were it linear.
     """
     unit = splitting.balance.force_unit * np.sqrt(len(state) / 2)
-    advances, changes = np.empty((2, WINDOW, state.size))  # moves with their changes, and changes of the defect
-    products, overlap = np.empty((WINDOW, WINDOW)), np.zeros(WINDOW)  # with one another, and with the defect
+    window = effort.window
+    advances, changes = np.empty((2, window, state.size))  # moves with their changes, and changes of the defect
+    products, overlap = np.empty((window, window)), np.zeros(window)  # with one another, and with the defect
     best, lowest, last, before = Split(state, np.inf, 0), np.inf, 0, None
-    for k in range(ITERATIONS):
+    for k in range(effort.iterations):
         if not np.linalg.norm(state) < LOST * unit:
             break
         forces, admissible = splitting.compare(state)
@@ -226,11 +244,11 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float) -> Split:
             best = Split(state, size, k + 1)
         if size < PROGRESS * lowest:
             lowest, last = size, k
-        if not size > tolerance or k - last > PATIENCE:
+        if not size > tolerance or k - last > effort.patience:
             break
         state = after = state + defect
         if before is not None:
-            i, known = (k - 1) % WINDOW, min(k, WINDOW)
+            i, known = (k - 1) % window, min(k, window)
             np.subtract(defect, before[1], out=changes[i].reshape(defect.shape))
             np.subtract(after, before[0], out=advances[i].reshape(after.shape))
             products[i, :known] = products[:known, i] = changes[:known] @ changes[i]

@@ -44,7 +44,7 @@ def test_each_look_is_closer_to_the_neighbours_solution(name, large):
 def test_a_splitting_that_does_not_settle_leaves_it_to_newton(large, monkeypatch):
     solution = solve(pose("lift-off"))
     ahead = raise_harmonics(solution.problem)
-    monkeypatch.setattr(splitting, "ITERATIONS", 3)
+    monkeypatch.setattr(looking_ahead, "settle", lambda *given: splitting.settle(*given, splitting.Effort(3, 3, 3)))
     looks = list(islice(approach(solution, ahead, 1e-3), 2))
     assert [look.reason for look in looks] == ["one Newton step"] * 2
     step = take_step(solution, ahead)
