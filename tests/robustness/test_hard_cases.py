@@ -43,10 +43,10 @@ def solve_degenerate(name: str) -> PeriodicSolution:
 
 
 def run_sample(
-    counts: dict[str, int], cap: float, highest: int = 31
+    counts: dict[str, int], cap: float, highest: int = 31, seed: int = 101
 ) -> tuple[list[hard_cases.Outcome], list[hard_cases.Outcome]]:
     """Outcomes of a sample of cases: those with the default weights, and those with weights a thousandfold off."""
-    cases = [case for seed, (name, count) in enumerate(counts.items(), 101) for case in draw_cases(name, count, seed)]
+    cases = [case for seed, (name, count) in enumerate(counts.items(), seed) for case in draw_cases(name, count, seed)]
     outcomes = [(case.rho == (1, 1), run_sampled((case, cap))) for case in cases if case.harmonics <= highest]
     return [o for usual, o in outcomes if usual], [o for usual, o in outcomes if not usual]
 
@@ -83,7 +83,7 @@ def test_a_small_sample():
 @cache
 def run_large_sample() -> list[hard_cases.Outcome]:
     """That of ``benchmarks/results/hard_cases.json``."""
-    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0)
+    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0, seed=20261)
     return usual + off
 
 
@@ -95,7 +95,7 @@ def test_a_large_sample_does_not_fall_behind():
     assert len(given_up) <= 0.015 * len(outcomes), describe(given_up)
     solved = check_outcomes([o for o in outcomes if o.status != "given up"])
     assert len(solved) >= 0.97 * len(outcomes)
-    assert np.median([o.steps for o in solved]) <= 12 and np.mean([o.steps for o in solved]) <= 120
+    assert np.median([o.steps for o in solved]) <= 12 and np.mean([o.steps for o in solved]) <= 75
 
 
 @pytest.mark.slow
