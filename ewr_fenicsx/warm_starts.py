@@ -50,14 +50,25 @@ def go_on_from(
 
 
 def try_starts(
-    balance: HarmonicBalance, starts: Iterable[Start], tolerance: float, linear_solver: LinearSolver, limit: int
+    balance: HarmonicBalance,
+    starts: Iterable[Start],
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int,
+    most: float = np.inf,
 ) -> Attempt:
-    """Newton from one start after the other until it converges; the best attempt, with the steps of all of them."""
+    """Newton from one start after the other until it converges; the best attempt, with the steps of all of them.
+
+    Args:
+        balance, tolerance, linear_solver, limit: As in ``run_newton``.
+        starts: One at least.
+        most: Newton steps after which no further start is tried.
+    """
     attempts, steps = [], 0
     for unknowns, near, taken in starts:
         attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
         steps += attempts[-1].iterations + taken
-        if attempts[-1].converged:
+        if attempts[-1].converged or steps >= most:
             break
     return replace(min(attempts), iterations=steps)
 
