@@ -121,6 +121,24 @@ class Slopes:
         """The same with no row among the steady ones."""
         return Slopes(self.derivatives, np.zeros_like(self.is_steady))
 
+    def slide_through_turns(self, longest: int) -> Slopes:
+        """The same, but rows that stick for at most ``longest`` samples on end slide on; itself where none does."""
+        order = np.arange(self.samples)[:, None]
+        sticks = np.broadcast_to(~self.is_steady, (self.samples, self.is_steady.size)).copy()
+        for d in self.derivatives:
+            if d.variable != "velocity":
+                sticks[:, d.rows] &= d.values == 0
+        twice, count = np.vstack([sticks, sticks]), 2 * self.samples
+        slid = np.where(twice, -1, np.arange(count)[:, None])
+        before = np.maximum.accumulate(slid)[self.samples :]
+        after = np.minimum.accumulate(np.where(twice, count, slid)[::-1])[::-1][: self.samples] + self.samples
+        short = sticks & (after - before - 1 <= longest)
+        if not short.any():
+            return self
+        source = np.where(short, before % self.samples, order)
+        held = (replace(d, values=np.take_along_axis(d.values, source[:, d.rows], axis=0)) for d in self.derivatives)
+        return Slopes(tuple(held), self.is_steady)
+
 
 def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> Slopes | None:
     """Derivatives of all laws along the motion in time that begins on a solution, over ``PERIODS`` after a first one.

@@ -22,6 +22,7 @@ from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.deviations import (
     PERIODS,
     Course,
+    Monodromy,
     Slopes,
     differentiate_along,
     differentiate_laws,
@@ -45,10 +46,10 @@ STEADY = 1e-3
 # Newton steps from there to a solution of as many harmonics, what they leave of the residual, and how far another
 # solution's forces are at least
 NEWTON_STEPS, SOLVED, ELSEWHERE = 30, 1e-6, 1e-3
-# A guess may be too small, most where masses rub: stepping has them stick for a sample where they turn. Where Hill's
-# matrix has few unknowns, the largest is looked at from this multiplier on
+# A guess may be too small: where Hill's matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
-GUESSES = 3  # at most
+GUESSES = 3  # at most, by each way of stepping
+TURN = 2  # samples along the motion in time, for which a mass that turns may stick
 NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutral: where a body has slid to
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
@@ -94,7 +95,8 @@ def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
         return True
     if slopes is None:
         return True
-    return measure_growth(step_deviations(problem.system, slopes, PERIODS).matrix) > BORNE_OUT**PERIODS
+    sliding = slopes.slide_through_turns(TURN)
+    return measure_growth(step_deviations(problem.system, sliding, PERIODS).matrix) > BORNE_OUT**PERIODS
 
 
 def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
@@ -136,19 +138,36 @@ def measure_growth(whole: RealArray) -> float:
 def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArray, least: float) -> ComplexArray:
     """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
 
-    Where it sees none, that of the largest, from ``least`` on. An exponent plus any harmonic's frequency is one as
-    well: of these the one at which the deviation vibrates, whose harmonics are then about the middle of Hill's.
+    A mass that rubs sticks for some samples where it turns, and deviations of its velocity would be lost there, while
+    in truth they jump by a factor near one. So they are stepped a second time, as if it slid on through sticking that
+    the harmonics do not resolve.
+
+    Args:
+        system, forces, rigid: As in ``find_growth``.
+        least: Multiplier from which on the largest is given where none is beyond the circle.
     """
     for steps in STEPS:
-        whole, modes = step_deviations(system, differentiate_laws(system, forces, rigid, 2 * steps))
-        if measure_growth(whole) < TRUSTED:
+        slopes = differentiate_laws(system, forces, rigid, 2 * steps)
+        stepped = step_deviations(system, slopes)
+        if measure_growth(stepped.matrix) < TRUSTED:
             break
-    found, states = np.linalg.eig(whole)
+    sliding = slopes.slide_through_turns(steps // system.basis.orders[-1])
+    found = [stepped] if sliding is slopes else [stepped, step_deviations(system, sliding)]
+    return np.concatenate([read_exponents(each, system.compliance.omega, least) for each in found])
+
+
+def read_exponents(stepped: Monodromy, omega: float, least: float) -> ComplexArray:
+    """Those of ``guess_exponents`` that the matrix of a period has.
+
+    An exponent plus any harmonic's frequency is one as well: of these the one at which the deviation vibrates, whose
+    harmonics are then about the middle of Hill's.
+    """
+    found, states = np.linalg.eig(stepped.matrix)
+    modes = stepped.modes
     pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0) & (np.abs(found - 1.0) > NEUTRAL))
     pick = pick[np.argsort(-np.abs(found[pick]))]
     pick = pick[: np.clip(np.count_nonzero(np.abs(found[pick]) > GROWTH), 1, GUESSES)]
     motion, velocity = states[:modes, pick], states[modes : 2 * modes, pick]
-    omega = system.compliance.omega
     exponents = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
     rate = np.sum(motion.conj() * velocity, axis=0) / np.maximum(np.sum(np.abs(motion) ** 2, axis=0), TINY)
     return exponents + 1j * omega * np.round((rate.imag - exponents.imag) / omega)

@@ -335,6 +335,63 @@ def test_masses_that_rub_and_turn(frequency, friction, harmonics):
     assert abs(found.multiplier) == pytest.approx(exact, rel=0.02 if harmonics < 20 else 0.01)
 
 
+def rub(damping: float, friction: float, frequency: float, harmonics: int):
+    """Solution of one mass on a spring that rubs under a given force, with its multipliers' product.
+
+    Deviations are those of a free mass but where it turns: there the velocity's jumps by the ratio of accelerations.
+    """
+    model = ReducedModel(
+        mass=[[1.0]],
+        damping=[[damping]],
+        stiffness=[[1.0]],
+        tangential=[[1.0]],
+        load={1: [1.0]},
+        outputs={"tip": [1.0]},
+    )
+    found = solve(
+        ContactProblem(model, ContactLaws("prescribed", normal_force=friction, friction=1.0), frequency, harmonics)
+    )
+    omega, orders, amplitudes = found.problem.omega, np.array(found.orders), found.output("tip")
+    times = np.linspace(0, 1 / frequency, 20001)
+    phases = np.exp(1j * omega * np.outer(times, orders))
+    turns = np.flatnonzero(np.diff(np.sign(np.real(phases @ (1j * omega * orders * amplitudes)))))
+    push = np.abs(np.cos(omega * times[turns]) - np.real(phases[turns] @ amplitudes))
+    assert turns.size == 2 and push.min() > friction, "it turns and does not stick"
+    return found, np.exp(-damping / frequency) * np.prod((push - friction) / (push + friction))
+
+
+@pytest.mark.parametrize("harmonics", [5, 15])
+@pytest.mark.parametrize("strength", [0.1, 0.05, 0.02])
+@pytest.mark.parametrize("frequency", [0.08, 0.1, 0.12, 0.14, 0.18, 0.2, 0.25])
+def test_a_rubbing_mass_leaves_where_the_closed_form_says(frequency, strength, harmonics):
+    """One multiplier of two is at least the root of their product, and both are if they turn."""
+    found, product = rub(-strength, strength, frequency, harmonics)
+    if frequency == 0.08:
+        assert found.unstable and abs(found.multiplier.imag) < 0.01 and abs(found.multiplier) > np.sqrt(product)
+    elif abs(np.sqrt(product) - floquet.GROWTH) > 0.005:
+        assert found.unstable and abs(found.multiplier) == pytest.approx(np.sqrt(product), rel=0.06)
+    damped, product = rub(strength, strength, frequency, harmonics)
+    assert product < 1 and damped.multiplier == 0 and not damped.unstable
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.2, 0.3])
+def test_friction_holds_back_what_damping_feeds_a_little(friction):
+    """Free, the mass would leave by 1.05 a period."""
+    found, product = rub(-0.01, friction, 0.1, 15)
+    assert product < 0.9 and found.multiplier == 0 and not found.unstable
+
+
+def test_rows_slide_on_through_short_sticking_only():
+    found, _ = rub(-0.1, 0.1, 0.1, 15)
+    here = replace(found.problem, closure="dashpot")
+    slopes = differentiate_laws(here.system, found.forces, found.rigid, 512)
+    assert [d.variable for d in slopes.derivatives] == ["force", "velocity"]
+    assert 4 < np.count_nonzero(slopes.derivatives[0].values == 0) < 34
+    sliding = slopes.slide_through_turns(17)
+    assert np.all(sliding.derivatives[0].values == 1) and np.all(sliding.derivatives[1].values == 0)
+    assert slopes.slide_through_turns(1) is slopes
+
+
 @pytest.mark.parametrize(("frequency", "dashpot", "leaves"), [(0.41, 0.5, False), (0.42, 1.0, True)])
 def test_a_dashpot_without_mass_beside_a_stop_holds_motions_back(frequency, dashpot, leaves):
     """Without it both would leave, by 1.12 and 1.17 a period."""
