@@ -26,12 +26,13 @@ from ewr_fenicsx.deviations import (
     Slopes,
     differentiate_along,
     differentiate_laws,
+    follow_modes,
     step_deviations,
     watch_course,
 )
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.hill import Hill
+from ewr_fenicsx.hill import FOLLOWS, Hill
 
 MOST_UNKNOWNS = 1500  # of Hill's matrix: half a second
 FEWEST = 5  # harmonics of the deviations, below which it is not looked at, but where the solution has no more
@@ -54,6 +55,7 @@ NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutr
 SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
 TINY = np.finfo(float).tiny
 REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
+AT_ONCE, FASTEST = 1e-6, 100.0  # angular frequency over an exponent that counts as infinite; and none is told faster
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 
 
@@ -68,12 +70,14 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
 
     Returns:
         The one of a pair with positive imaginary part; 0 where none is seen, where too many rows change status to look,
-        where a law remembers, and where redundant pairs share their forces in any way.
+        where a law remembers, where redundant pairs share their forces in any way, and at rest: there is no period.
     """
     system = problem.system
     top, rows = system.basis.orders[-1], system.rows.shape[0]
-    if not (top and rows):
+    if not top:
         return 0.0
+    if not rows:
+        return find_linear_growth(system)
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is not None and not slopes.changing.size:
         slopes = slopes.treat_all_as_changing()
@@ -85,6 +89,19 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
         return found if found and is_borne_out(problem, coordinates) else 0.0
     except np.linalg.LinAlgError:
         return 0.0
+
+
+def find_linear_growth(system: ContactSystem) -> complex:
+    """``find_growth`` of a joint without unknown forces, by the exponents of its free vibrations."""
+    omega = system.compliance.omega
+    modes = follow_modes(system, FOLLOWS * system.basis.orders[-1] * omega)
+    mass, damping, one, none = omega**2 * modes.mass, omega * modes.damping, np.eye(len(modes.mass)), 0 * modes.mass
+    rates, states = np.block([[none, one], [-modes.stiffness, -damping]]), np.block([[one, none], [none, mass]])
+    inverses = np.linalg.eigvals(np.linalg.solve(rates - states, states)).astype(complex)
+    exponents = 1 + 1 / inverses[np.abs(inverses) > AT_ONCE]  # over omega; without mass some are infinite
+    fastest = max(exponents, key=lambda z: z.real, default=0.0)
+    found = np.exp(2 * np.pi * complex(min(fastest.real, FASTEST), abs(fastest.imag)))
+    return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
 
 
 def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:

@@ -187,8 +187,11 @@ class PeriodicSolution(PeriodicMotion):
 
     @cached_property
     def multiplier(self) -> complex:
-        """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0. See ``floquet.py``."""
-        if not (self.converged and self.problem.system.rows.shape[0] and self.orders[-1]):
+        """The largest Floquet multiplier beyond the unit circle, if one is seen, else 0; at rest there is none.
+
+        See ``floquet.py``.
+        """
+        if not self.converged:
             return 0.0
         here = self._forgetful
         found = find_growth(here.problem, here.forces, here.rigid, here.coordinates)
@@ -227,7 +230,10 @@ class PeriodicSolution(PeriodicMotion):
 
     @property
     def unstable(self) -> bool:
-        """Whether a Floquet multiplier is seen beyond the unit circle; not all are. See ``stability.py``."""
+        """Whether a Floquet multiplier is seen beyond the unit circle; not all are, and none at rest.
+
+        See ``stability.py``.
+        """
         return self.grows or self.alternates or self.multiplier != 0
 
     def _pose(self) -> tuple[HarmonicBalance, RealArray]:

@@ -28,6 +28,7 @@ from ewr_fenicsx.errors import ModelError
 
 DEMOS = Path(__file__).parents[2] / "demos"
 FRICTIONLESS = ContactLaws(tangential="frictionless")
+GIVEN = ContactLaws("prescribed", "frictionless", normal_force=0.1)
 STOP = 3.0  # stiffness of the stop of two_masses
 DRIVEN = np.linspace(0.395, 0.43, 8)  # Hz, about the sum of their two frequencies
 
@@ -299,6 +300,45 @@ def test_where_it_is_not_looked_at(monkeypatch):
     assert found.multiplier != 0 and replace(found, converged=False).multiplier == 0
     monkeypatch.setattr(floquet, "MOST_UNKNOWNS", 9)
     assert replace(found).multiplier == 0 and not replace(found).unstable
+
+
+@pytest.mark.parametrize("mass", [1.0, 0.0])
+@pytest.mark.parametrize("damping", [-0.05, 0.05])
+@pytest.mark.parametrize("laws", [ContactLaws("bonded", "frictionless"), GIVEN])
+def test_a_linear_joint_has_the_multipliers_of_its_free_vibrations(laws, damping, mass):
+    """A third coordinate may have no mass, whose exponents are infinite."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 1.0, mass]),
+        damping=np.diag([0.1, damping, 0.0]),
+        stiffness=np.diag([1.0, 2.0, 5.0]),
+        normal=[[-1.0, 0.0, 0.0]],
+        load={0: [0.5, 0.0, 0.0], 1: [0.1, 0.0, 0.0]},
+        outputs={"tip": [1.0, 0.0, 0.0]},
+    )
+    found = solve(ContactProblem(model, laws, 0.1, 5))
+    assert found.unknowns == 0 and found.unstable == (damping < 0)
+    exact = np.exp(complex(-damping / 2, np.sqrt(2 - damping**2 / 4)) / 0.1)
+    exact = complex(exact.real, abs(exact.imag)) if damping < 0 else 0.0
+    assert found.multiplier == pytest.approx(exact, rel=1e-9)
+    curve = frequency_response(model, laws, [0.1, 0.2], 5, progress=False)
+    assert curve.unstable.tolist() == [damping < 0] * 2
+    at_rest = solve(replace(found.problem, frequency=0.0, load={0: model.load[0]}, harmonics=0))
+    assert at_rest.multiplier == 0 and not at_rest.unstable
+
+
+@pytest.mark.parametrize(("mass", "exponent"), [(1.0, (5 + np.sqrt(21)) / 2), (0.0, 1 / 5)])
+def test_a_linear_joint_may_run_away_without_vibrating(mass, exponent):
+    """A dashpot of -5 on a spring of 1, with a mass and without."""
+    model = ReducedModel(
+        mass=np.diag([1.0, mass]),
+        damping=np.diag([0.1, -5.0]),
+        stiffness=np.diag([2.0, 1.0]),
+        tangential=[[1.0, 0.0]],
+        load={1: [0.1, 0.0]},
+        outputs={"tip": [1.0, 0.0]},
+    )
+    found = solve(ContactProblem(model, GIVEN, 0.1, 5))
+    assert found.multiplier == pytest.approx(np.exp(exponent / 0.1), rel=1e-9)
 
 
 def test_redundant_pairs_and_a_joint_at_rest_have_none():
