@@ -167,10 +167,11 @@ def join_points(
             jumps.append(Jump(ends, "with more harmonics the branch turns back earlier; this is beyond its fold"))
         elif kept:
             before, last = kept[-1]
-            surprise = measure_gap(last.solution, here.solution) - measure_gap(before, point)
+            gap, may_go = measure_gap(last.solution, here.solution), fell and not wanted
+            surprise = gap if may_go else gap - measure_gap(before, point)
             suspect = fell or measure_gap(before, last.solution) > LARGEST_SURPRISE
             if suspect and surprise > LARGEST_SURPRISE and not lie_on_one_branch(last, here, tolerance):
-                if fell and not wanted:
+                if may_go:  # points between may have gone already: a wide gap in the first curve excuses nothing
                     continue
                 ends = last.solution.problem.frequency, point.problem.frequency
                 jumps.append(Jump(ends, "with more harmonics no common branch was found"))

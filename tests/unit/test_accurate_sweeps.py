@@ -167,6 +167,21 @@ def test_a_curve_that_falls_off_its_branch_is_broken_there():
     assert kept == [fallen[0], fallen[1], fallen[3]] and jumps == []
 
 
+def test_far_from_the_point_before_only_what_hangs_together_with_it_stays():
+    """As where points between have gone: the first curve's gap is as wide as that to the other branch."""
+    model, laws = stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0)
+    upper = frequency_response(model, laws, [0.160, 0.166], 7, progress=False).solutions[-1]
+    first = last = solve(replace(upper.problem, frequency=0.200))
+    for frequency in (0.18, 0.172, 0.169, 0.166):
+        last = solve(replace(upper.problem, frequency=frequency), last)
+    accurate = {s: solve_to_accuracy(s.problem, 0.02, s) for s in (upper, first, last)}
+    assert measure_gap(first, last) > 2 * LARGEST_SURPRISE and measure_gap(upper, last) > LARGEST_SURPRISE
+    assert abs(measure_gap(first, upper) - measure_gap(first, last)) < LARGEST_SURPRISE
+    for point, end, stays in ((last, upper, False), (upper, last, True)):
+        found = [accurate[first], accurate[end]]
+        assert join_points([first, point], found, [0.200]) == (found if stays else found[:1], [])
+
+
 def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
     """As with more modes; a jump told twice would break the curve at a second place."""
     curve, jump = sweep(accuracy=0.1), Jump((0.1, 0.2), "with more harmonics")
