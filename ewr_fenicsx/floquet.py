@@ -157,7 +157,7 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
 
     A mass that rubs sticks for some samples where it turns, and deviations of its velocity would be lost there, while
     in truth they jump by a factor near one. So they are stepped a second time, as if it slid on through sticking that
-    the harmonics do not resolve.
+    is no longer than a period of the highest harmonic.
 
     Args:
         system, forces, rigid: As in ``find_growth``.
@@ -168,7 +168,7 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
         stepped = step_deviations(system, slopes)
         if measure_growth(stepped.matrix) < TRUSTED:
             break
-    sliding = slopes.slide_through_turns(steps // system.basis.orders[-1])
+    sliding = slopes.slide_through_turns(1 + slopes.samples // system.basis.orders[-1])
     found = [stepped] if sliding is slopes else [stepped, step_deviations(system, sliding)]
     return np.concatenate([read_exponents(each, system.compliance.omega, least) for each in found])
 
