@@ -81,11 +81,15 @@ def list_causes(estimate: ErrorEstimate) -> dict[str, float | None]:
 
 
 def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
-    """How far off ``what`` is thought to be of a solution that no accuracy was asked of."""
+    """How far off ``what`` is thought to be of a solution that no accuracy was asked of.
+
+    The mesh is not in it: its error, often the largest, shows only on another mesh.
+    """
     remedy = "solver.accuracy = 0.01 takes as many harmonics and modes as that needs"
+    size = f"estimated error of {what} {estimate.total:.1g} without that of the mesh"
     if not estimate.total < UNKNOWN:
-        return f"  NOT accurate: estimated error of {what} {estimate.total:.1g}; {remedy}"
-    line = f"  estimated error of {what} {estimate.total:.1g} ({estimate.shares})"
+        return f"  NOT accurate: {size}; {remedy}"
+    line = f"  {size} ({estimate.shares})"
     return f"{line}; {remedy}" if estimate.total > COARSE else line
 
 

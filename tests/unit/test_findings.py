@@ -33,12 +33,21 @@ def test_points_that_fall_short_for_the_same_reason_share_a_line(count, told):
 @pytest.mark.parametrize(
     "errors, told",
     [
-        ((0.01, 1e-4), "  estimated error of the response 0.01 (harmonics and samples 0.01, modes 0.0001)"),
+        (
+            (0.01, 1e-4),
+            "  estimated error of the response 0.01 without that of the mesh "
+            "(harmonics and samples 0.01, modes 0.0001)",
+        ),
         (
             (0.3, np.nan),
-            "  estimated error of the response 0.3 (harmonics and samples 0.3); solver.accuracy = 0.01 takes",
+            "  estimated error of the response 0.3 without that of the mesh (harmonics and samples 0.3); "
+            "solver.accuracy = 0.01 takes",
         ),
-        ((np.inf, np.nan), "  NOT accurate: estimated error of the response inf; solver.accuracy = 0.01 takes"),
+        (
+            (np.inf, np.nan),
+            "  NOT accurate: estimated error of the response inf without that of the mesh; solver.accuracy = 0.01 "
+            "takes",
+        ),
     ],
 )
 def test_an_error_that_nobody_asked_for_comes_with_its_remedy_where_it_is_large(errors, told):
