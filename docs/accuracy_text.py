@@ -80,7 +80,8 @@ The cheapest setting tried whose error is within the limit, and stays there with
 ![Error against time, the best settings](pictures/work_precision_best.png)
 
 Numbers along the curves are N, or time steps a period; those in the legend, the power of time with which the error
-falls. The grey band (Pareto front) joins the settings that no other one beats in both time and error.
+falls. The grey band (Pareto front) joins the settings that no other one beats in both time and error, of
+all that are on this page; the picture of the knobs below has the same band.
 
 ## Which error dominates
 

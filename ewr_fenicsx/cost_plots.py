@@ -16,7 +16,13 @@ MARKS = "osD^vP*Xh<>p"
 COLOURS = ("#1d6fb8", "#c1121f", "#2a9d57", "#e08e0b", "#7b3fa0", "#444444", "#00838f", "#b5539c", "#8d6e2f", "#5577aa")
 
 
-def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str, str], title: str = "") -> None:
+def draw_work_precision(
+    path: Path,
+    rows: Sequence[Mapping],
+    errors: Mapping[str, str],
+    title: str = "",
+    shown: Sequence[str] | None = None,
+) -> None:
     """Error against processor time on double logarithmic axes, a panel an error; it says so where there is none.
 
     Args:
@@ -24,12 +30,13 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
         rows: As ``survey`` returns them.
         errors: Name of an error in the rows -> title of its panel.
         title: Of the whole.
+        shown: Knobs whose curves are drawn, by default all; the Pareto front is of all rows in any case.
     """
     columns = min(2, len(errors))
     lines = -(-len(errors) // columns)
     figure = Figure(figsize=(7.4 * columns, 4.3 * lines + 1.6), layout="constrained")
     grid = figure.subplots(lines, columns, squeeze=False)
-    knobs = list(dict.fromkeys(row["knob"] for row in rows))
+    knobs = [knob for knob in dict.fromkeys(row["knob"] for row in rows) if shown is None or knob in shown]
     for axes, (error, label) in zip(grid.flat, errors.items(), strict=False):
         axes.set(xlabel="processor time [s]", ylabel="relative error", title=label)
         if not any(row["converged"] and row["errors"][error] > 0 for row in rows):
@@ -68,7 +75,7 @@ def draw_work_precision(path: Path, rows: Sequence[Mapping], errors: Mapping[str
             linewidth=6,
             alpha=0.12,
             zorder=0,
-            label="Pareto front",
+            label="Pareto front of all settings",
         )
         axes.set(xscale="log", yscale="log")
         _label_points(axes, labelled)

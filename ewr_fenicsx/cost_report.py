@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from ewr_fenicsx.chain import Chain, pose_problem
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.cost import HIGHEST as SEEN
-from ewr_fenicsx.cost import LOOSE, Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
+from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_settings, measure_figures, survey
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors
@@ -51,18 +51,7 @@ class CostReport:
         files = [folder / TABLE, folder / PICTURE]
         content = {"reference": self.reference, "own_error": self.own_error, "stages": self.stages, "rows": self.rows}
         files[0].write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        knobs = (
-            "N",
-            "N, rho_T by mobility",
-            "N, springs",
-            f"N, springs, tolerance {LOOSE:g}",
-            "samples",
-            "rho_N over default",
-            "rho_T over default",
-            "tolerance",
-        )
-        shown = [row for row in self.rows if row["knob"] in knobs]
-        draw_work_precision(files[1], shown, TITLES, f"{self.title}\nreference: {self.reference}")
+        draw_work_precision(files[1], self.rows, TITLES, f"{self.title}\nreference: {self.reference}")
         return files
 
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from small_models import friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, cost_plots, integrate, solve
 from ewr_fenicsx.cost import (
     ERRORS,
     choose_cheapest,
@@ -21,6 +21,7 @@ from ewr_fenicsx.cost import (
     survey,
 )
 from ewr_fenicsx.cost_plots import draw_work_precision
+from ewr_fenicsx.cost_report import CostReport
 
 PROBLEM = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.7 / (2 * np.pi))
 
@@ -163,3 +164,23 @@ def test_an_error_that_no_setting_has_is_drawn_as_such(tmp_path, monkeypatch):
     assert len(response.get_lines()) == 2 and response.get_xscale() == "log"
     assert not forces.get_lines() and [text.get_text() for text in forces.texts] == ["exact with every setting"]
     assert drawn[0]._suptitle.get_text() == "a beam"
+
+
+def test_the_front_is_of_all_settings_also_of_those_without_a_curve(tmp_path, monkeypatch):
+    """What nothing beats would else be called so only because its rivals are not drawn."""
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: drawn.append(figure))
+    rows = [row(value=n, seconds=n, error=1 / n) for n in (1, 2, 5)]
+    rows += [row(value=5, seconds=0.5, error=0.01) | {"knob": "rival"}]
+    draw_work_precision(tmp_path / "cost.png", rows, {"output": "response"}, shown=["N"])
+    curve, front = drawn[0].axes[0].get_lines()
+    assert list(curve.get_xdata()) == [1, 2, 5] and list(front.get_xdata()) == [0.5]
+
+
+def test_what_ewr_cost_recommends_is_drawn(tmp_path, monkeypatch):
+    """Its choice is among all settings of N; a curve of each is in the picture."""
+    drawn = []
+    monkeypatch.setattr(cost_plots, "draw_work_precision", lambda path, rows, *more: drawn.extend(rows))
+    rows = [row(value=3, seconds=1, error=0.1) | {"knob": f"N, way {way}"} for way in range(5)]
+    CostReport("a beam", rows, "time stepping", 0.0, "", {}).write(tmp_path)
+    assert [r["knob"] for r in drawn] == [r["knob"] for r in rows]
