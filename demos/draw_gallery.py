@@ -5,7 +5,8 @@
 # over frequencies or over cycles.
 
 # %%
-import sys
+import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import dolfinx
@@ -14,6 +15,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.transforms import ScaledTranslation
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -40,26 +42,41 @@ SAMPLES = 256
 
 # %%
 def draw_motion(axes, chain, solution):
-    """The bodies at the instant of their largest motion, magnified; pairs in red."""
+    """The bodies at the instant of their largest motion, magnified as their initial gap is; nodes of pairs in red.
+
+    Meshes are drawn closed. Where there is an initial gap, the second body is moved back by it, and the motion is drawn
+    with its mean: bodies would else be in each other. Otherwise the mean, of static loads, is left out.
+    """
+    interface = chain.interface
+    gap = np.array([chain.scene.laws_on(flank).initial_gap for flank in interface.flanks])[interface.flank_of_pair]
     phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
-    oscillating = np.where(np.array(solution.orders)[:, None] > 0, solution.coordinates, 0)
-    frames = (phase @ oscillating).real
+    shown = np.array(solution.orders)[:, None] > (-1 if gap.any() else 0)
+    frames = (phase @ np.where(shown, solution.coordinates, 0)).real
     shape = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
     field = dolfinx.fem.Function(chain.structure.space)
     field.x.array[:] = shape.x.array
+    moved = field.x.array.reshape(-1, 2)
     cells = gather_cells(chain, field)
     stretch = 0.06 * cells.scale / max(np.linalg.norm(cells.values, axis=2).max(), 1e-300)
+    apart = np.linalg.lstsq(interface.normal, gap, rcond=None)[0]
+    second = cells.body == chain.mesh.bodies[chain.scene.contact.body_b]
+    cells = replace(cells, corners=cells.corners + stretch * np.where(second[:, None, None], apart, 0))
     corners = 1e3 * (cells.corners + stretch * cells.values)
     for k, body in enumerate(np.unique(cells.body)):
         axes.add_collection(PolyCollection(corners[cells.body == body], facecolors=BODY_COLOURS[k % len(BODY_COLOURS)]))
     axes.add_collection(LineCollection(1e3 * cells.outline(), colors="#999999", linewidths=0.6, linestyles="--"))
     axes.add_collection(LineCollection(1e3 * cells.outline(stretch), colors=INK, linewidths=0.8))
-    axes.plot(*(1e3 * chain.interface.position.T), ".", color=FLANK_COLOURS[0], markersize=2.5)
+    from_rest = np.concatenate([moved[interface.nodes_a], moved[interface.nodes_b] + apart])
+    places = 1e3 * (np.tile(interface.position, (2, 1)) + stretch * from_rest)
+    axes.plot(*places.T, ".", color=FLANK_COLOURS[0], markersize=2.5, label="nodes of the contact pairs")
+    below = axes.transAxes + ScaledTranslation(0, -0.42, axes.figure.dpi_scale_trans)  # the label, however low they are
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, fontsize=7, markerscale=3)
     axes.autoscale_view()
+    what = "motion and gap" if gap.any() else "motion"
     (left, right), (below, above) = axes.get_xlim(), axes.get_ylim()
     room = max(0.0, 0.3 * (right - left) - (above - below)) / 2  # a slender body would leave no room for numbers
     axes.set_ylim(below - room, above + room)
-    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"motion, magnified {stretch:.0f} times")
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"{what}, magnified {stretch:.0f} times")
 
 
 def draw_states(axes, chain, solution):
@@ -149,7 +166,9 @@ PAGE = """# Gallery
 
 Seven scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that
 a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture
-the joint at the instant of its largest motion, dashed at rest.
+the joint at the instant of its largest motion, dashed at rest, with the nodes of its contact pairs in red. The mean,
+which static loads cause, is not drawn, so that bodies may overlap a little; where there is an initial gap, it is
+magnified like the motion, which is then drawn with its mean.
 
 `demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded
 joint to everything at once on one model.
@@ -157,7 +176,12 @@ joint to everything at once on one model.
 """
 
 if __name__ == "__main__":
-    names = sys.argv[1:] or SCENES
+    parser = argparse.ArgumentParser(description="Draw the gallery's pictures and write docs/gallery.md.")
+    chosen = "scenes to draw, by default all; the page is written when all are drawn"
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"{chosen}: {', '.join(SCENES)}")
+    names = parser.parse_args().scenes or SCENES
+    if unknown := sorted(set(names) - set(SCENES)):
+        parser.error(f"unknown scene: {', '.join(unknown)}; one of {', '.join(SCENES)}")
     parts = {name: draw_scene(name) for name in names}
     if set(parts) == set(SCENES):
         (DOCS / "gallery.md").write_text(PAGE + "\n".join(parts.values()), encoding="utf-8")

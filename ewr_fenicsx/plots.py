@@ -91,7 +91,8 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     )
     joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}")
     whole.indicate_inset_zoom(joint, edgecolor=INK, alpha=0.6)
-    joint.set_title(f"joint: {len(interface.area)} pairs")
+    closed = any(scene.laws_on(flank).initial_gap for flank in interface.flanks)
+    joint.set_title(f"joint: {len(interface.area)} pairs" + closed * ", drawn without initial gaps")
     whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {len(cells.body)} cells")
     below = ScaledTranslation(0, -0.55, figure.dpi_scale_trans)  # of numbers and label, however low the panel is
     for axes in (whole, joint):

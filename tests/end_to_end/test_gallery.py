@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 import gmsh
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -152,6 +155,36 @@ def test_the_page_shows_every_scene():
         assert picture.is_file() and picture.stat().st_size < 100_000
         assert f"(pictures/{picture.name})" in page
         assert load_scene(ROOT / "demos" / f"{name}.toml").title in page
+
+
+def test_bodies_with_a_gap_between_are_drawn_apart(monkeypatch):
+    """Magnified like the motion; without it the rod's end was drawn in the stop. Pairs are where their nodes are."""
+    monkeypatch.syspath_prepend(str(ROOT / "demos"))
+    gallery = importlib.import_module("draw_gallery")
+    scene = load_scene(ROOT / "demos" / "tapping_rod.toml")
+    chain = build_chain(scene)
+    solution = solve(pose_problem(scene, chain.reduction.model, chain.interface))
+    axes = Figure().subplots()
+    gallery.draw_motion(axes, chain, solution)
+    bar, stop = (
+        np.concatenate([path.vertices for path in body.get_paths()])
+        for body in axes.collections
+        if isinstance(body, PolyCollection)
+    )
+    assert bar[:, 0].max() < stop[:, 0].min()
+    (dots,) = axes.get_lines()
+    x = dots.get_xdata().reshape(2, -1)
+    np.testing.assert_allclose([x[0].max(), x[1].min()], [bar[:, 0].max(), stop[:, 0].min()], atol=1e-9)
+
+
+def test_the_gallery_knows_its_scenes():
+    told = {}
+    for given in ("--help", "nonsense"):
+        command = [sys.executable, str(ROOT / "demos" / "draw_gallery.py"), given]
+        environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
+        told[given] = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert told["--help"].returncode == 0 and all(name in told["--help"].stdout for name in SCENES)
+    assert told["nonsense"].returncode == 2 and "unknown scene: nonsense" in told["nonsense"].stderr
 
 
 def test_choose_your_effects_runs_and_its_assertions_hold():

@@ -67,6 +67,11 @@ def test_forces_that_pull_begin_on_the_body(drawn):
     assert head[1] > tail[1] + 10 and tail[1] > 270, "upwards from the tip"
 
 
+def test_a_mesh_that_is_drawn_closed_says_so_where_the_scene_has_a_gap(drawn):
+    assert drawn("tapping_rod")[1].get_title() == "joint: 5 pairs, drawn without initial gaps"
+    assert drawn("two_blocks")[1].get_title() == "joint: 9 pairs"
+
+
 def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
     """Axes are then a thousandth of a micrometre wide, and their numbers long."""
     text = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
