@@ -330,4 +330,5 @@ def spread_over_pairs(value, pairs: np.ndarray, total: int, name: str = "", kind
     if array.shape == (total,):
         return array[pairs]
     said = f"{name} has " if name else ""
-    raise ModelError(f"{said}{array.size} values for {pairs.size} pairs; give one, or one a pair")
+    size = f"{array.size} values" if array.ndim == 1 else f"the shape {array.shape}"
+    raise ModelError(f"{said}{size} for {pairs.size} pairs; give one, or one a pair")

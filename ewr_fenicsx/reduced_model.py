@@ -337,8 +337,9 @@ def _check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> N
     if energies[0] <= _MASSLESS * np.abs(scaled).max():
         moved = int(np.argmax(np.abs(apart @ motions[:, 0])))
         raise ModelError(
-            f"the stiffness leaves {modes.shape[1]} rigid motions free, and the mass is zero in one of them, which "
-            f"nothing would resist: it moves coordinate {moved} most; give it a mass, hold it, or leave it out"
+            f"the stiffness leaves {modes.shape[1]} rigid motions free, and the mass is zero in one of them: it "
+            f"moves coordinate {moved} most, where neither a mass nor a spring resists; a dashpot alone does not do; "
+            "give it a mass, hold it, or leave it out"
         )
 
 

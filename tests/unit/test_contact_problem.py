@@ -255,6 +255,7 @@ def test_problems_that_make_no_sense_are_refused(changes, message):
             "has a harmonic 9; add it to harmonics",
         ),
         (random_structure(), ContactLaws(friction=[0.1, 0.2]), "friction has 2 values for 3 pairs; give one, or one a"),
+        (random_structure(), ContactLaws(friction=[[0.1, 0.2, 0.3]]), r"friction has the shape \(1, 3\) for 3 pairs; "),
         (random_structure(), ContactLaws(initial_gap=[0.1, 0.2]), "initial_gap has 2 values for 3 pairs"),
         (random_structure(), ContactLaws("prescribed", normal_force=[1, 2]), "normal_force has 2 values for 3 pairs"),
         (random_structure(), ContactLaws("prescribed", normal_force={0: 9, 1: [1j, 2]}), "normal_force has 2 values"),
