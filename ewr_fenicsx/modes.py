@@ -102,8 +102,9 @@ def solve_modes(
     modes = Modes(np.array(frequency), list(vectors), np.array(residual))
     if max(rounding) > 0.01:
         raise ModesError(
-            f"mode {np.argmax(rounding) + 1} cannot be told from the shift sigma = {shift:g} rad^2/s^2: a body "
-            "floats and the stiffness is singular; give a shift below zero, or clamp the body"
+            f"mode {np.argmax(rounding) + 1} is lost in rounding, too close to sigma = {shift:g} rad^2/s^2: a body "
+            "floats and the stiffness is singular, or one is far softer than another; clamp the body (in Python: or "
+            "give a shift below zero), or see the Young's moduli [Pa]"
         )
     # in fine meshes the forces that cancel in K phi are so large that their rounding alone passes any fixed tolerance
     excess = modes.residual / np.maximum(LARGEST_RESIDUAL, rounding)

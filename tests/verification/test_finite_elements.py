@@ -132,6 +132,14 @@ def test_floating_structure_without_shift_is_refused():
         solve_modes(structure.stiffness, structure.mass, 4)
 
 
+def test_a_body_far_softer_than_another_is_not_told_to_float_only():
+    """As by 210 for 210e9 Pa in one of two materials: nothing floats, and a scene has no shift to give."""
+    mesh = build_mesh(FIR_TREE, {}, MPI.COMM_WORLD)
+    structure = assemble_structure(mesh, materials={"blade": Material(210.0, 0.3, 7800.0), "disk": TITANIUM})
+    with pytest.raises(ModesError, match=r"one is far softer than another; .* or see the Young's moduli \[Pa\]"):
+        full_stick_modes(structure, pair_interface(structure), 1)
+
+
 MEMBRANE_IN_LITTLE_MEMORY = """
 import resource
 import scipy.sparse as sparse
