@@ -27,6 +27,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, nearest
+from ewr_fenicsx.scene_sense import hint_at_lengths
 
 MODEL_NAME = "ewr_fenicsx"
 MOST_CELLS = 3e6  # in the box around a geometry; more take hours, and nobody means them
@@ -144,7 +145,8 @@ def _fill_model(source: Path, parameters: Mapping[str, object]) -> None:
             with _refuse_endless_meshes(source, size):
                 build(**parameters)
         except ValueError as error:
-            raise MeshError(f"{source}: {error}") from error
+            usual = {name: known.default for name, known in inspect.signature(build).parameters.items()}
+            raise MeshError(f"{source}: {error}{hint_at_lengths(parameters, usual)}") from error
     if not _compat.gmsh_is_running():
         raise MeshError(f"{source}: `build` ends gmsh, and its mesh is lost; leave gmsh.finalize() out")
 

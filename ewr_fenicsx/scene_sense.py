@@ -6,7 +6,7 @@ A contradiction is an error, a doubt a warning. Each says what the scene would m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ewr_fenicsx.errors import nearest
@@ -22,6 +22,9 @@ DENSITIES = (100.0, 25e3)  # [kg/m^3]
 THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of the mesh [m]
 SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 ROUGHEST = 3.0  # coefficient of friction
+MOST_DAMPED = 0.1  # ratio of critical damping
+KILOHERTZ = (3e-4, 2e-3)  # between these, over the first stuck mode, a frequency was probably given in kHz
+MILLIMETRES = (100.0, 1e4)  # and a builder's parameter in mm, over its default
 MANY_CYCLES = 100_000  # of which every one is solved
 
 
@@ -94,6 +97,27 @@ def doubt_modes(scene: Scene, modes: int, highest: float) -> Iterator[str]:
         )
 
 
+def doubt_frequency(scene: Scene, stuck: float) -> Iterator[str]:
+    """What is probably not meant by loads so far below the first full-stick mode [Hz], one sentence each."""
+    highest = max(scene.frequencies, default=0.0)
+    at = highest * max((scene.loads[name].harmonic for name in oscillating_loads(scene)), default=0)
+    if KILOHERTZ[0] * stuck < at < KILOHERTZ[1] * stuck:
+        yield (
+            f"excitation.frequency = {highest:g} Hz is so far below the first full-stick mode ({stuck:.0f} Hz) that "
+            f"the motion is as good as static; was {1e3 * highest:g} Hz (given in kHz) meant?"
+        )
+
+
+def hint_at_lengths(parameters: Mapping[str, object], usual: Mapping[str, object]) -> str:
+    """What is probably not meant by a builder's parameters that do not fit, by their defaults; or ``''``."""
+    for name, value in parameters.items():
+        default = usual.get(name)
+        numbers = isinstance(default, float) and isinstance(value, int | float)
+        if numbers and default > 0 and MILLIMETRES[0] <= value / default <= MILLIMETRES[1]:
+            return f"; {name} = {value:g} is far above its default, {default:g}: lengths are in m; were mm meant?"
+    return ""
+
+
 def oscillating_loads(scene: Scene) -> list[str]:
     """Names of the loads that excite a vibration."""
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
@@ -129,6 +153,14 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
             yield (
                 f"materials.{body}.density = {material.density:g} kg/m^3 is that of no solid; was it given in "
                 "g/cm^3 or t/mm^3?"
+            )
+    for key in ("ratio", "ratios"):
+        given = getattr(scene.damping, key, 0.0)
+        ratio = max(given) if isinstance(given, tuple) else given
+        if ratio > MOST_DAMPED:
+            yield (
+                f"damping.{key}: {ratio:g} of the critical damping is more than structures have; was {ratio / 100:g} "
+                "(given in per cent) meant?"
             )
     if scene.elasticity.thickness > THICKEST:
         thickness = f"{scene.elasticity.thickness:g}"

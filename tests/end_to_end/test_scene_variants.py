@@ -395,3 +395,9 @@ def test_wear_through_a_body_is_no_result(tmp_path, capsys):
     assert "NOT a result: a body is only 0.03 m thick; see wear.coefficient" in told.out
     summary = json.loads((tmp_path / "results" / "summary.json").read_text())
     assert "more than 0.03 m" in summary["wear"]["stopped"] and summary["wear"]["cycles"] < 200
+
+
+def test_a_frequency_in_kilohertz_is_told_of(tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(write_blocks(frequency=3.5))
+    assert main(["info", str(tmp_path / "scene.toml")]) == 0
+    assert "excitation.frequency = 3.5 Hz is so far below the first full-stick mode" in capsys.readouterr().err

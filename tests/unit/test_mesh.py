@@ -272,6 +272,12 @@ def test_meshes_that_make_no_sense_are_refused(squares, extra, after, words):
     assert not gmsh_is_running(), "gmsh is stopped also after an error"
 
 
+def test_a_parameter_in_millimetres_is_named_where_the_builder_blames_another():
+    said = "disk_width = 0.04: expected more than .* flank_length = 10 is far above its default, .* were mm meant"
+    with pytest.raises(MeshError, match=said):
+        build_mesh(GEOMETRY / "dovetail.py", {"flank_length": 10.0}, MPI.COMM_WORLD)
+
+
 EMPTY_MESH = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n0\n$EndElements\n"
 
 

@@ -16,7 +16,7 @@ from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene import Scene, load_scene
-from ewr_fenicsx.scene_sense import doubt_modes
+from ewr_fenicsx.scene_sense import doubt_frequency, doubt_modes, hint_at_lengths
 
 ROOT = Path(__file__).parents[2]
 JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
@@ -216,6 +216,8 @@ def test_all_contradictions_come_at_once(read):
         (SCENE + "[materials.blade]\nyoung = 113800.0", r"young = 113800 Pa .* was 113800e6 Pa \(MPa\) meant"),
         (SCENE + "[materials.disk]\ndensity = 4.43", r"disk.density = 4.43 kg/m\^3 .* was it given in g/cm"),
         (SCENE + "[materials.disk]\ndensity = 4.43e6", r"density = 4.43e\+06 kg/m\^3 is that of no solid"),
+        (SCENE + "[damping]\nratios = [0.2, 0.3]", r"damping.ratios: 0.3 .* was 0.003 \(given in per cent\) meant"),
+        (SCENE + "[damping]\nkind = 'modal'\nratio = 0.5", r"damping.ratio: 0.5 of .* was 0.005 \(given in per cent"),
         (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
         (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
         (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
@@ -246,6 +248,22 @@ def test_loads_above_the_modes_kept_are_doubted(read):
     assert not list(doubt_modes(read(twice), 3, 2100.0)) and not list(doubt_modes(read(SCENE), 3, 1900.0))
     assert not list(doubt_modes(read(HEAD + PULL), 3, 1.0)), "nothing oscillates"
     assert not list(doubt_modes(read(twice + "[solver]\naccuracy = 0.01"), 3, 1900.0))
+
+
+def test_frequencies_in_kilohertz_are_doubted(read):
+    """Only where they would be near the first mode: a slow motion is quasi-static, as of a machine that starts."""
+    (told,) = doubt_frequency(read(SCENE.replace("1000", "1.2")), 1288.0)
+    assert "1.2 Hz is so far below the first full-stick mode (1288 Hz)" in told and "was 1200 Hz" in told
+    for frequency in ("0.1", "5", "1000"):
+        assert not list(doubt_frequency(read(SCENE.replace("1000", frequency)), 1288.0))
+    assert not list(doubt_frequency(read(HEAD + PULL), 1288.0)), "nothing oscillates"
+
+
+def test_parameters_in_millimetres_are_hinted_at():
+    usual = {"flank_length": 8e-3, "angle": 45.0, "pairs": 10, "name": "x"}
+    assert "flank_length = 10 is far above its default, 0.008" in hint_at_lengths({"flank_length": 10}, usual)
+    for fits in ({"flank_length": 0.1}, {"angle": 60.0}, {"pairs": 4000}, {"name": "y"}, {"other": 9.0}):
+        assert hint_at_lengths(fits, usual) == ""
 
 
 def test_a_cycle_jump_may_not_be_all_wrong(read):
