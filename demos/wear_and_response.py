@@ -123,9 +123,8 @@ def compare(figures: dict, friction, frequencies) -> list:
         judge(
             "Tip displacement depends on wear more strongly near resonance than away from it.",
             loudest_near > loudest_far,
-            f"Largest change of the tip's RMS over {CYCLES} cycles: {loudest_near:.0%} near resonance, "
-            f"{loudest_far:.2%} at "
-            f"{', '.join(f'{f:g}' for f in far)} Hz.",
+            f"Largest change of the tip's RMS over {CYCLES} cycles for mu = 0.2: {loudest_near:.0%} near resonance "
+            f"({', '.join(f'{f:g}' for f in near)} Hz), {loudest_far:.2%} at {', '.join(f'{f:g}' for f in far)} Hz.",
         ),
     ]
 
