@@ -2,7 +2,7 @@
 # # The gallery
 # Solves every scene of this folder and draws one picture of each for `docs/gallery.md`, which this script writes as
 # well: on the left the joint at the instant of its largest motion, on the right what its contact does over the period,
-# over frequencies or over cycles.
+# over frequencies or over cycles. With `blade_root` it draws the mesh at the top of the README as well.
 
 # %%
 import argparse
@@ -22,7 +22,7 @@ from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.contact_state import classify_contact
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.gathering import gather_cells
-from ewr_fenicsx.plots import BODY_COLOURS, FLANK_COLOURS, INK
+from ewr_fenicsx.plots import BODY_COLOURS, FLANK_COLOURS, INK, draw_mesh
 from ewr_fenicsx.study import run_study
 
 HERE = Path(__file__).parent
@@ -36,6 +36,7 @@ SCENES = (
     "bolted_lap",
     "tapping_rod",
 )
+IN_README = "blade_root"  # its mesh.png, as `ewr run` draws it
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
 SAMPLES = 256
 
@@ -151,6 +152,8 @@ def draw_scene(name: str) -> str:
         draw_states(right, chain, study.solution)
     figure.suptitle(scene.title, fontsize=10)
     figure.savefig(DOCS / "pictures" / f"gallery_{name}.png", dpi=80)
+    if name == IN_README:
+        draw_mesh(DOCS / "pictures" / f"{name}.png", chain)
     said = [line.removeprefix("# ") for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
     effects = [effect for effect in list_effects(scene, problem, flanks=chain.interface.flanks) if effect.on]
