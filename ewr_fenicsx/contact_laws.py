@@ -15,7 +15,7 @@ import numpy as np
 
 from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register their kinds
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers
 from ewr_fenicsx.law_kinds import Law, LawKind, PairGroup, Side, find_kind, list_parameters
 from ewr_fenicsx.prescribed import Prescribed
 
@@ -58,6 +58,8 @@ class ContactLaws:
             raise ModelError('normal = "prescribed" goes with normal_force, and only with it; give both or neither')
         if not isinstance(self.parameters, Mapping):
             raise ModelError(f'parameters = {self.parameters!r}; give a dictionary such as {{"spring": 2e6}}')
+        for name in ("friction", "normal_force", "initial_gap", "parameters"):
+            object.__setattr__(self, name, keep(getattr(self, name)))
         self.kinds  # noqa: B018  mistakes in the parameters come to light here
 
     @cached_property

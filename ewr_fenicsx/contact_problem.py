@@ -17,7 +17,7 @@ from ewr_fenicsx.composition import compose
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.reduced_model import ReducedModel, check_loads
@@ -95,6 +95,8 @@ class ContactProblem:
             depth = read_numbers("wear", self.wear)
             if depth.shape != (self.model.pairs,) or not np.all((depth >= 0) & (depth < np.inf)):
                 raise ModelError(f"wear must be one finite depth >= 0 [m] for each of the {self.model.pairs} pairs")
+        for name in ("laws", "harmonics", "rho_normal", "rho_tangential", "closure", "wear"):
+            object.__setattr__(self, name, keep(getattr(self, name)))
         self.friction, self.clearance, self.given_force  # noqa: B018  as many values as pairs
         if self.load is not None:
             object.__setattr__(self, "load", check_loads(self.load, self.model.size))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from numbers import Real
 from reprlib import repr as shorten
 
@@ -35,6 +36,18 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
     if array.dtype.kind == "c" and kind is float:
         raise ModelError(f"{name} = {shorten(value)} is complex; {remedy}")
     return array.astype(kind, copy=False)
+
+
+def keep(value: object) -> object:
+    """A copy of something given, for a frozen owner: arrays as such that nobody can write to."""
+    if isinstance(value, np.ndarray):
+        value = np.array(value)
+        value.flags.writeable = False
+    elif isinstance(value, Mapping):
+        return {key: keep(item) for key, item in value.items()}
+    elif type(value) in (list, tuple):
+        return type(value)(map(keep, value))
+    return value
 
 
 def is_whole(value: object, least: int = 0) -> bool:
