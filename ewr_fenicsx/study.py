@@ -151,11 +151,16 @@ class _Modes:
         return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
 
     def keep_more(self, count: int) -> tuple[ContactProblem, range]:
-        """The scene's problem on a model with so many modes, and which of its coordinates are modal."""
-        with self.watch.stage("more modes"):
-            self.chain = replace(self.chain, reduction=keep_more_modes(self.chain.reduction, count))
-        chain = self.chain
-        self.chains.append(chain)
+        """The scene's problem on a model with so many modes, and which of its coordinates are modal.
+
+        Wear may ask for the same again, where they led to no solution before.
+        """
+        made = {len(chain.reduction.modal_coordinates): chain for chain in self.chains}
+        if count not in made:
+            with self.watch.stage("more modes"):
+                made[count] = replace(self.chains[-1], reduction=keep_more_modes(self.chains[-1].reduction, count))
+            self.chains.append(made[count])
+        self.chain = chain = made[count]
         return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
 
     @property

@@ -6,7 +6,7 @@ stick, the outputs hardly know of those that slide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
 
@@ -54,8 +54,8 @@ class AccurateWear:
         Raises:
             NotConverged: The joint has no solution.
         """
-        found = self._solve(replace(self.problem, wear=depth), None, FIRST_ORDER)
-        return self._take(WearStep(0, depth, depth, found.solution), found.solution, found.estimate.total)
+        found, modes = self._solve(replace(self.problem, wear=depth), None, FIRST_ORDER)
+        return self._take(WearStep(0, depth, depth, found.solution), found, modes)
 
     def look_at(self, step: WearStep) -> WearStep:
         """A step with its estimated error; where that exceeds the accuracy, with the solution of one that does not.
@@ -68,12 +68,12 @@ class AccurateWear:
         given = {"rho_tangential": self.problem.rho_tangential, "closure": self.problem.closure}
         posed = replace(step.solution.problem, **given)
         try:
-            found = self._solve(posed, step.solution, step.solution.orders[-1])
+            found, modes = self._solve(posed, step.solution, step.solution.orders[-1])
         except NotConverged:
             return replace(step, estimate=estimate)
         if found.estimate.total >= estimate:
             return replace(step, estimate=estimate)
-        return self._take(step, found.solution, found.estimate.total)
+        return self._take(step, found, modes)
 
     def _estimate(self, solution: PeriodicSolution) -> float:
         return estimate_errors(solution, self.choice.get("modes", ()), self._rate).total
@@ -81,18 +81,25 @@ class AccurateWear:
     def _rate(self, solution: PeriodicSolution) -> RealArray:
         return measure_wear_rate(solution, self.coefficient)
 
-    def _solve(self, problem: ContactProblem, start: PeriodicSolution | None, first: int) -> AccurateSolution:
+    def _solve(
+        self, problem: ContactProblem, start: PeriodicSolution | None, first: int
+    ) -> tuple[AccurateSolution, Sequence[int]]:
+        """What was found, and which coordinates of its model are modal: on models tried with more there may be none."""
         choice, depth = dict(self.choice), problem.wear
+        modes_of = {problem.model: choice.get("modes", ())}
         if more := choice.get("more_modes"):
 
-            def keep_more(count: int) -> tuple[ContactProblem, object]:
-                unworn, self.choice["modes"] = more(count)
-                return replace(unworn, wear=depth), self.choice["modes"]
+            def keep_more(count: int) -> tuple[ContactProblem, Sequence[int]]:
+                unworn, modes = more(count)
+                modes_of[unworn.model] = modes
+                return replace(unworn, wear=depth), modes
 
             choice["more_modes"] = keep_more
-        return solve_to_accuracy(
+        found = solve_to_accuracy(
             problem, self.accuracy, start, self.tolerance, first=first, figure=self._rate, **choice
         )
+        return found, modes_of[found.solution.problem.model]
 
-    def _take(self, step: WearStep, solution: PeriodicSolution, estimate: float) -> WearStep:
-        return replace(step, rate=self._rate(solution), solution=solution, estimate=estimate)
+    def _take(self, step: WearStep, found: AccurateSolution, modes: Sequence[int]) -> WearStep:
+        self.choice["modes"] = modes
+        return replace(step, rate=self._rate(found.solution), solution=found.solution, estimate=found.estimate.total)

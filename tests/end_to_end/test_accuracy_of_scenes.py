@@ -13,11 +13,11 @@ import pytest
 from small_scenes import write_blocks
 
 from ewr_fenicsx import cost_report, estimates, solve, solve_to_accuracy
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.chain import Stopwatch, build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import ModelError, SceneError
 from ewr_fenicsx.scene import Excitation, load_scene
-from ewr_fenicsx.study import run_study
+from ewr_fenicsx.study import _Modes, run_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -132,6 +132,15 @@ def test_modes_are_raised_where_a_scene_has_too_few(tmp_path, capsys):
     off = lambda here: np.linalg.norm(here - found[100]) / np.linalg.norm(found[100])  # noqa: E731
     assert off(answer) <= 0.05
     assert off(found[1]) > 0.05, "one mode was too few"
+
+
+def test_modes_that_led_nowhere_may_be_asked_for_again(tmp_path):
+    """As wear does, which stays on the model that has a solution."""
+    modes = _Modes(build_chain(load_scene(write_scene(tmp_path, "[reduction]", "modes = 2"))), Stopwatch())
+    first, coordinates = modes.keep_more(4)
+    again, same = modes.keep_more(4)
+    assert again.model is first.model and len(coordinates) == 4 and coordinates == same
+    assert len(modes.keep_more(8)[1]) == 8
 
 
 def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from small_models import lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.estimates import drop_modes, estimate_modes, measure_distance
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, accuracy, solve, solve_to_accuracy
+from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.estimates import drop_modes, estimate_errors, estimate_modes, measure_distance
+from ewr_fenicsx.wear_accuracy import AccurateWear
 
 
 def structure_with_modes(*stiffness: float) -> ReducedModel:
@@ -103,3 +105,34 @@ def test_modes_that_are_too_few_are_the_limit():
     )
     assert not found.reached
     assert "the 1 modes of the reduced model leave an error of" in found.limit
+
+
+def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(monkeypatch):
+    """Their coordinates are those of the model that its solution is on, which the error by modes is estimated with."""
+    full, asked = structure_with_modes(0.5, 1.0, 1.5, 2.0, 1e5, 2e5, 3e5, 4e5), []
+
+    def keep(count: int) -> tuple[ContactProblem, range]:
+        asked.append(count)
+        model = drop_modes(full, range(6 + count, 14))
+        return ContactProblem(model, ContactLaws(friction=0.2), 0.05), range(6, 6 + count)
+
+    problem, modes = keep(1)
+    choice = {"modes": modes, "more_modes": keep, "most_modes": 1}
+    judge = AccurateWear(problem, np.full(2, 1e-6), 0.1, 1e-8, choice)
+    fresh = judge.begin(np.zeros(2))
+    assert fresh.estimate > 0.1, "or there is no need for more"
+    find = accuracy.solve
+
+    def fail_with_more(posed, *given, **options):
+        if posed.model.size > 7:
+            raise NotConverged("no solution", best=fresh.solution)
+        return find(posed, *given, **options)
+
+    judge.choice["most_modes"] = 8
+    monkeypatch.setattr(accuracy, "solve", fail_with_more)
+    for _ in range(2):
+        looked_at = judge.look_at(fresh)
+        assert asked.pop() == 2 and looked_at.solution.problem.model.size == 7
+        assert looked_at.estimate == estimate_errors(looked_at.solution, modes, judge._rate).total > 0.1
+    monkeypatch.undo()
+    assert judge.look_at(fresh).estimate <= 0.1 and asked[-1] == 8
