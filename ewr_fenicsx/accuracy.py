@@ -237,6 +237,9 @@ def solve_to_accuracy(
                 full = f"more harmonics than {top} take more than {most_unknowns} unknowns"
                 limit = hit if top >= highest else full
             top = raised
+    if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
+        others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
+        estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others)
     seconds, reached = time.perf_counter() - begin, estimate.total <= accuracy
     return AccurateSolution(solution, estimate, accuracy, reached, limit, tuple(levels), seconds, remedy)
 

@@ -30,7 +30,7 @@ FEW = 5  # frequencies or cycles that are told one by one
 
 def word_remedy(found: AccurateSolution) -> AccurateSolution:
     """The same, with what a scene can do about its limit in place of what a call can."""
-    if found.estimate.dominating == "modes" and found.levels:
+    if found.levels and found.levels[-1].estimate.dominating == "modes":  # what the limit kept from being raised
         return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
     return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
 

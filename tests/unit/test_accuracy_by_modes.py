@@ -74,6 +74,18 @@ def test_the_most_modes_are_a_limit():
     assert "the 2 modes of the reduced model leave an error of" in found.limit
 
 
+@pytest.mark.parametrize("allowed", [{"highest": 3}, {"most_unknowns": 20}])
+def test_a_limit_of_the_harmonics_hides_no_other_error(allowed):
+    """Weight and modes wait for harmonics to be raised; where a limit ends that, the total has them all the same."""
+    problem = ContactProblem(structure_with_modes(0.5, 1.0), ContactLaws(friction=0.2), 0.05)
+    found = solve_to_accuracy(problem, 1e-3, modes=[6, 7], **allowed)
+    assert found.limit and found.levels[-1].estimate.total > 1e-3, "or there is nothing to wait for"
+    alone = estimate_errors(found.solution, [6, 7])
+    assert (found.estimate.weight, found.estimate.modes) == (alone.weight, alone.modes)
+    assert found.estimate.modes > 1e-3 and "modes" in found.summary()
+    assert found.estimate.total > found.levels[-1].estimate.total
+
+
 def test_dropped_modes_are_seen():
     """Coordinates stiff enough not to matter are dropped unseen, soft ones are not."""
     laws = ContactLaws(friction=0.2)
