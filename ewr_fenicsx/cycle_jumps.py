@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
-from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.following import solve_from
@@ -28,7 +27,6 @@ from ewr_fenicsx.wear_store import WearState, WearStep
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
 GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
 CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
-DEPTH_OF_ROUNDING = 1e-6  # of the depth to which the load presses contact in: wear below it is none
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
 
 
@@ -197,15 +195,7 @@ class WearRun:
             return part * self.jump.depth
         left = self.cycles - here.cycle
         further = np.linalg.solve(np.eye(len(decay)) + left * decay, left * here.rate)  # it evens out on the way
-        expected = float((here.depth + further).max())
-        return part * self.jump.share * max(expected, DEPTH_OF_ROUNDING * self._press_in())
-
-    def _press_in(self) -> float:
-        """How far the mean load presses contact in, about: the depth by which wear makes a difference [m]."""
-        system = self.problem.system
-        rows = system.row_of("normal", np.flatnonzero(self.problem.opens))
-        mean = np.abs(HarmonicBalance(system).full_stick[0][0, rows].real) if system.basis.has_mean else 0.0
-        return float(np.max(mean * system.flexibility[rows]))
+        return part * self.jump.share * float((here.depth + further).max())
 
     def _solve(
         self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int, *, fallbacks: bool
