@@ -85,7 +85,7 @@ def leave_out_idle(problem: ContactProblem, start: PeriodicSolution | None = Non
 
 def include_idle(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSolution:
     """A solution without the idle harmonics of ``problem`` as one with them, at zero."""
-    if solution.problem is problem:
+    if solution.orders == problem.basis.orders:  # its start used them
         return solution
     forces = np.zeros((len(problem.basis.orders), solution.forces.shape[1]), dtype=complex)
     for j, h in enumerate(solution.orders):

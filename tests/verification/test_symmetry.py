@@ -9,7 +9,7 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
-from ewr_fenicsx.symmetry import find_idle_harmonics, leave_out_idle
+from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 
 N = 7
 EVERY = tuple(range(N + 1))  # listed: nothing is left out
@@ -148,6 +148,14 @@ def test_a_start_that_uses_the_idle_harmonics_keeps_them():
     assert np.abs(start.forces[2]).max() > 0
     assert solve(problem, start=start).left_out == ()
     assert solve(problem, start=solve(problem)).left_out == (2, 4, 6)
+
+
+def test_harmonics_that_were_solved_for_are_not_told_to_be_left_out():
+    """Also where ``solve`` went back to default weights, and states both problems anew."""
+    problem = shaken()
+    start = solve(replace(problem, load=problem.model.load | {2: 0.3 * np.ones(9)}))
+    kept = include_idle(solve(problem, start=start), replace(problem))
+    assert (kept.left_out, kept.why_left_out) == ((), "")
 
 
 def test_time_stepping_finds_no_even_harmonic_either():
