@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -32,16 +33,16 @@ def share_tasks(
         Results in the order of the tasks, on every rank.
 
     Raises:
-        Exception: What ``work`` raised first, on every rank.
+        Exception: What ``work`` or ``report`` raised first, on every rank; as text where it cannot be pickled.
     """
     mine: dict[int, Result] = {}
     error: Exception | None = None
     take = _Counter(comm)
     try:
         while error is None and (k := take(1)) < len(tasks):
-            if report:
-                report(k)
             try:
+                if report:
+                    report(k)
                 mine[k] = work(tasks[k])
             except Exception as caught:
                 error = caught
@@ -84,9 +85,20 @@ def do_on_rank_zero(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF
 
 
 def _raise_together(error: Exception | None, comm: MPI.Comm) -> None:
-    failed = [caught for caught in comm.allgather(error) if caught is not None]
+    if error is not None and comm.size == 1:
+        raise error
+    failed = [caught for caught in comm.allgather(_make_portable(error)) if caught is not None]
     if failed:
-        raise failed[0]
+        raise failed[0] from error
+
+
+def _make_portable(error: Exception | None) -> Exception | None:
+    """The error as one that other ranks can be sent; what they wait for must come, whatever it is."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 class _Counter:

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ewr_fenicsx.task_sharing import share_tasks
+
 pytestmark = pytest.mark.parallel
 SCRIPT = Path(__file__).with_name("sweep_on_ranks.py")
 FAILING = """
@@ -40,6 +42,46 @@ for fails in (
         print(f"caught {error}\\n", end="", flush=True)
 """
 
+STRANGE = """
+from mpi4py import MPI
+from ewr_fenicsx.task_sharing import do_together, share_tasks
+
+comm = MPI.COMM_WORLD
+
+def lose(task):
+    class Local(Exception):
+        pass
+    raise Local(f"task {task}")
+
+def hold(task):
+    error = ValueError("held")
+    error.best = lambda: task
+    raise error
+
+class TwoWords(Exception):
+    def __init__(self, first, second):
+        super().__init__(f"{first} {second}")
+
+def ask_for_two(task):
+    raise TwoWords("two", "words")
+
+def report(begun):
+    if begun == 0:
+        raise BrokenPipeError("gone")
+
+for fails in (
+    lambda: share_tasks(range(1), lose, comm),
+    lambda: share_tasks(range(1), hold, comm),
+    lambda: share_tasks(range(1), ask_for_two, comm),
+    lambda: share_tasks(range(8), abs, comm, report),
+    lambda: do_together(lambda: lose(7) if comm.rank else None, comm),
+):
+    try:
+        fails()
+    except (RuntimeError, BrokenPipeError) as error:
+        print(f"caught {error}\\n", end="", flush=True)
+"""
+
 
 def test_curves_do_not_depend_on_the_number_of_ranks(mpirun, tmp_path):
     found = {}
@@ -68,3 +110,23 @@ def test_what_fails_on_one_rank_is_an_error_on_every_one(mpirun):
     done = mpirun(2, "python", "-m", "mpi4py", "-c", ONE_FAILS, timeout=60)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("caught division by zero") == 4
+
+
+def test_what_no_rank_can_be_sent_is_an_error_on_every_one_as_well(mpirun):
+    """Errors that cannot be pickled or not be put together again, and those of who reports."""
+    done = mpirun(2, "python", "-m", "mpi4py", "-c", STRANGE, timeout=60)
+    assert done.returncode == 0, done.stderr
+    for told in ("Local: task 0", "ValueError: held", "TwoWords: two words", "gone", "Local: task 7"):
+        assert done.stdout.count(f"caught {told}") == 2, done.stdout
+
+
+def test_a_rank_by_itself_raises_what_it_caught():
+    error = ValueError("held")
+    error.best = lambda: None  # which cannot be pickled
+
+    def fail(task: int) -> None:
+        raise error
+
+    with pytest.raises(ValueError) as caught:
+        share_tasks(range(3), fail)
+    assert caught.value is error
