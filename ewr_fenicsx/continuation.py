@@ -199,9 +199,11 @@ def _correct(
     z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
     balance = balance_at(s)
     norm, onward = np.linalg.norm(balance.residual(z)), None
-    for taken in range(CORRECTOR_STEPS):
+    for taken in range(CORRECTOR_STEPS + 1):
         if norm <= tolerance:
             return BranchPoint(s, z, taken), onward, taken
+        if taken == CORRECTOR_STEPS:
+            break
         linear = balance.linearise(z)
         slope = _differentiate(balance_at, linear, z, s, span)
         try:

@@ -64,3 +64,19 @@ def test_the_tangent_points_along_the_branch():
         there = solve(replace(problem, frequency=f), tolerance=1e-11)
         chord = np.append(at(f).pack(there.forces, there.rigid) - here.unknowns, (f - 1000.0) / 1000.0)
         assert abs(chord @ tangent) / np.linalg.norm(chord) > 0.999
+
+
+def test_the_last_step_of_the_corrector_counts(monkeypatch):
+    """Where as many are allowed as a point takes, it is found, and with one less it is not."""
+    problem = ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9)
+    here, at = begin(problem)
+
+    def step() -> BranchPoint:
+        return next(continuation.trace_branch(at, here, 1000.0, step=1e-3, smallest_step=1e-3), None)
+
+    usual = step()
+    assert usual.steps > 1
+    monkeypatch.setattr(continuation, "CORRECTOR_STEPS", usual.steps)
+    assert step().parameter == usual.parameter
+    monkeypatch.setattr(continuation, "CORRECTOR_STEPS", usual.steps - 1)
+    assert step() is None
