@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import assemble_structure, body_nodes, boundary_facets
 from ewr_fenicsx.errors import InterfaceError
-from ewr_fenicsx.interface import pair_interface
+from ewr_fenicsx.interface import _pair_sides, _Side, pair_interface
 from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.mesh import build_mesh
 
@@ -142,6 +142,16 @@ def test_nodes_further_apart_than_the_tolerance_are_named():
     with pytest.raises(InterfaceError, match=r'flank "joint": .* is 1e-05 m away .* allowed are 4e-08 m'):
         pair_interface(structure)
     assert len(pair_interface(structure, tolerance=1e-3).area) == 7
+
+
+def test_two_nodes_have_no_partner_in_common():
+    """However near they are to it."""
+    lay = lambda first, *x: _Side(  # noqa: E731
+        first + np.arange(3), np.column_stack([x, np.zeros(3)]), np.tile([0.0, -1.0], (3, 1)), np.ones(3)
+    )
+    a, b = lay(0, 0.0, 1e-8, 1.0), lay(10, 0.0, 0.5, 1.0)
+    with pytest.raises(InterfaceError, match=r'flank "top": .*; give both curves the same end points'):
+        _pair_sides("top", a, b, "blade", "disk", 1e-6)
 
 
 def test_shared_nodes_are_refused():

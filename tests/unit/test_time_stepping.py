@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import hypothesis
 import hypothesis.strategies as some
@@ -12,8 +13,9 @@ from small_models import dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_stepping
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.periodicity import Watch
 from ewr_fenicsx.time_integration import State, integrate, resample
-from ewr_fenicsx.time_stepping import TimeScheme
+from ewr_fenicsx.time_stepping import Period, TimeScheme
 
 
 def chain_of(pairs: int, seed: int = 0, damping: str = "proportional", press: float = 12.0) -> ReducedModel:
@@ -344,6 +346,23 @@ def test_what_sticks_from_rest_is_steady(stiffness, mean, start):
     assert result.converged and result.periods == 2 and np.ptp(result.output_history("tip")) < 1e-12
     gliding = integrate(ContactProblem(stuck, replace(laws, friction=0.3), 0.1, 3), start, steps=400, periods=2)
     assert not gliding.converged, "the first periods of what moves are none of the steady state"
+
+
+@pytest.mark.parametrize(("mean", "swing"), [(0.0, 1.0), (1e3, 0.0)], ids=["oscillations", "means"])
+def test_what_modes_leave_where_they_cancel_is_judged_by_them(mean, swing):
+    """Two modes that move a pair to and fro, or hold it, against each other: what is left changes in all its digits."""
+    rng, noise, still = np.random.default_rng(0), 1e-5 if swing else 1e-9, np.zeros((33, 2))
+    scheme = SimpleNamespace(
+        problem=SimpleNamespace(model=SimpleNamespace(outputs={})),
+        rows=np.ones((1, 2)), mass=np.ones(2), dt=0.1, velocity_of_load=still,
+    )  # fmt: skip
+    watch = Watch(scheme)
+    for _ in range(2):
+        moves = mean + swing * np.sin(np.linspace(0, 2 * np.pi, 33))
+        positions = np.column_stack([moves, -moves]) + noise * rng.normal(size=(33, 2))
+        change = watch.measure_change(Period(positions, still, still[1:, :1], 0, 0))
+    motion = positions.sum(axis=1)
+    assert noise / 2 < motion.std() < 2 * noise and change < 0.05
 
 
 def test_a_given_force_that_the_steps_do_not_resolve_is_refused():

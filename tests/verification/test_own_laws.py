@@ -215,6 +215,17 @@ def test_cubic_spring_is_duffing_s_oscillator(frequency):
     assert solution.unknowns == 2
 
 
+def test_an_odd_law_that_sees_the_mean_keeps_even_harmonics_under_a_mean_load():
+    model = ReducedModel(
+        mass=[[1.0]], damping=[[0.1]], stiffness=[[1.0]], normal=[[1.0]], load={0: [0.5], 1: [0.4]},
+        outputs={"tip": [1.0]},
+    )  # fmt: skip
+    laws = ContactLaws("duffing", "frictionless", parameters={"cubic": 0.7})
+    short, full = (solve(ContactProblem(model, laws, 0.1, harmonics)) for harmonics in (7, range(8)))
+    assert short.left_out == () and np.abs(full.forces[2]).max() > 1e-2 * np.abs(full.forces).max()
+    np.testing.assert_allclose(short.forces, full.forces, atol=1e-9)
+
+
 @register_law("normal", "gasket")
 @dataclass(frozen=True, eq=False)
 class Gasket(LawKind):

@@ -14,13 +14,14 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import pair_interface
 from ewr_fenicsx.materials import TITANIUM, PerMode, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.reduction import keep_more_modes, reduce_structure
+from ewr_fenicsx.reduction import _residual_vectors, keep_more_modes, reduce_structure
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 STACKS = Path(__file__).parents[1] / "geometry" / "stacks.py"
@@ -344,6 +345,21 @@ def test_modes_added_later_give_the_model_of_all_at_once():
         np.testing.assert_allclose(getattr(grown.model, name), expected, atol=1e-9 * np.abs(expected).max())
     for h, load in once.model.load.items():
         np.testing.assert_allclose(grown.model.load[h], load, atol=1e-9 * np.abs(load).max())
+
+
+def test_what_load_responses_have_outside_the_modes_is_orthogonal_to_them():
+    """Also where that is so little of them that one pass leaves the rounding of the rest in it."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(12, 12))
+    mass = root @ root.T + np.eye(12)
+    shapes = scipy.linalg.eigh(mass, mass)[1][:, :5]
+    responses = shapes @ rng.normal(size=(5, 2)) + 1e-6 * rng.normal(size=(12, 2))
+    sparse = scipy.sparse.csr_matrix(mass)
+    matrix = PETSc.Mat().createAIJ((12, 12), csr=(sparse.indptr, sparse.indices, sparse.data), comm=MPI.COMM_SELF)
+    rest = _residual_vectors(responses, shapes, matrix)
+    assert rest.shape == (12, 2)
+    basis = np.column_stack([shapes, rest])
+    np.testing.assert_allclose(basis.T @ mass @ basis, np.eye(7), atol=1e-12)
 
 
 def test_no_more_modes_than_there_are():
