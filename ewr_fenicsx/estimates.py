@@ -28,6 +28,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.looking_ahead import approach, look_ahead, take_step
+from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -41,6 +42,7 @@ ROUNDED = 1e-12  # share of the largest response, below which another one is its
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
+AHEAD = 1e-5  # residual to which a neighbouring problem is solved, where single steps will not do
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
 
@@ -156,7 +158,7 @@ def step_towards(solution: PeriodicSolution, problem: ContactProblem, figure: Fi
 
 
 def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None) -> float:
-    """Error by the harmonics left out: one Newton step with half as many again."""
+    """Error by the harmonics left out: one Newton step with half as many again, six at least."""
     return step_towards(solution, look_ahead(solution)[0], figure)
 
 
@@ -170,14 +172,19 @@ def estimate_together(
     the same problem follows (``approach``), mostly closer to the true error. They reach to a higher order N' only: they
     see the share ``1 - (N / N')^rate`` of the error, and its whole is returned.
     """
-    raised, top = look_ahead(solution)
-    problem = replace(raised, samples=2 * raised.basis.samples)
-    seen = 1 - (solution.orders[-1] / max(1, top)) ** find_rate(solution.problem)
+    problem, seen = look_further(solution)
     looks = (measure_distance(ahead, solution, figure) / seen for ahead in approach(solution, problem, accuracy))
     first = next(looks, np.inf)
     if first > CLEAR * accuracy or (CLEAR * first < accuracy and moved < SURPRISE * first):
         return first
     return next(looks, np.inf)
+
+
+def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:
+    """A problem with more harmonics and samples than a solution's, and what share of its error that one sees."""
+    raised, top = look_ahead(solution)
+    seen = 1 - (solution.orders[-1] / max(1, top)) ** find_rate(solution.problem)
+    return replace(raised, samples=2 * raised.basis.samples), seen
 
 
 def find_rate(problem: ContactProblem) -> float:
@@ -224,10 +231,16 @@ def estimate_at_once(
 ) -> ErrorEstimate:
     """What a solution that nobody asked an accuracy of is off by, roughly: harmonics and samples together, and modes.
 
+    Where single Newton steps tell of a large error, it is mostly theirs: the neighbouring problem is then solved.
+
     Args:
         solution, modes, figure: As in ``estimate_errors``.
     """
     error = estimate_together(solution, USUAL, figure)
+    if error > CLEAR * USUAL:
+        problem, seen = look_further(solution)
+        ahead = solve(problem, solution, AHEAD, fallbacks=False, raise_on_failure=False)
+        error = measure_distance(ahead, solution, figure) / seen if ahead.converged else error
     return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure))
 
 
