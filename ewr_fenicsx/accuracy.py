@@ -27,9 +27,10 @@ from ewr_fenicsx.estimates import (
 )
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.looking_ahead import choose_samples
-from ewr_fenicsx.newton import solve, use_default_weights
+from ewr_fenicsx.newton import solve
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import leave_out_idle
+from ewr_fenicsx.weights import use_default_weights
 
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves

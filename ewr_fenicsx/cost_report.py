@@ -15,10 +15,11 @@ from ewr_fenicsx.cost import Figures, choose_cheapest, compare_figures, list_set
 from ewr_fenicsx.dashpots import use_mobility
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.estimates import estimate_errors
-from ewr_fenicsx.newton import solve, use_default_weights
+from ewr_fenicsx.newton import solve
 from ewr_fenicsx.output import write_results
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.result_folder import do_with_files, read_summary
+from ewr_fenicsx.weights import use_default_weights
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference

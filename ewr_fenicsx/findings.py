@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.newton import went_back
 from ewr_fenicsx.symmetry import find_idle_harmonics
+from ewr_fenicsx.weights import went_back
 
 if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution

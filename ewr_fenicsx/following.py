@@ -18,10 +18,11 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_branch
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.given import ComplexArray
-from ewr_fenicsx.newton import adopt_weights, solve, wrap
+from ewr_fenicsx.newton import solve, wrap
 from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import list_predicted, try_starts
+from ewr_fenicsx.weights import adopt_weights
 
 NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near; up to so many, steps may grow
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's

@@ -26,7 +26,7 @@ from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
-from ewr_fenicsx.newton import adopt_weights, solve, went_back
+from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import Report, count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, leave_out_close, refine_points
@@ -44,6 +44,7 @@ from ewr_fenicsx.solution_store import (
 from ewr_fenicsx.sweep_store import FORMAT, Block, BlockStore
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
+from ewr_fenicsx.weights import adopt_weights, went_back
 from ewr_fenicsx.whole_files import check_place, replace_file, write_table
 
 BLOCK = 6  # given frequencies a block

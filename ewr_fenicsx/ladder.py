@@ -5,12 +5,11 @@ are all the Newton steps that the way took:
 
 1. ``start_from_splitting``: Newton from where operator splitting ends.
 2. ``climb``: growing sets of harmonics, each started at the one before.
-3. ``walk_weights``: weights of the laws far from the defaults are approached from there.
-4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
-6. ``trace_load``: the oscillating load from a small share to the whole, past folds.
+3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+5. ``trace_load``: the oscillating load from a small share to the whole, past folds.
 
-``start_cold`` is the first, or else the second. ``climb`` takes 4. and 6. along: through more sets of harmonics, with
+``start_cold`` is the first, or else the second. ``climb`` takes 3. and 5. along: through more sets of harmonics, with
 both on any set where Newton stalls.
 """
 
@@ -25,7 +24,6 @@ import numpy as np
 
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.compliance import condense
-from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.reduced_model import ComplexArray, RealArray
@@ -40,6 +38,7 @@ COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
+BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
 LARGEST_DAMPED, DAMPED_POINTS = 500, 400  # the same where damping falls: its branch has more corners, and more points
 # Damping that is added, in turn until a cold start finds a solution: over omega times the mass, plus stiffness over
@@ -64,12 +63,16 @@ def start_cold(
     linear_solver: LinearSolver,
     levels: tuple[int, ...],
     coarse_tolerance: float,
+    limit: int | None = None,
 ) -> Attempt:
-    """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics."""
+    """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
+
+    ``limit``: Newton steps allowed on the last of these sets.
+    """
     split = start_from_splitting(balance, tolerance, linear_solver)
     if split.converged or split.walks:
         return split
-    climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance)
+    climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
     better = climbed if climbed.converged else min(climbed, split)
     return replace(better, iterations=split.iterations + climbed.iterations)
 
@@ -109,6 +112,7 @@ def climb(
     levels: tuple[int, ...],
     rungs: tuple[Rung, ...] = (),
     coarse_tolerance: float = COARSE_TOLERANCE,
+    limit: int | None = None,
 ) -> Attempt:
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
@@ -120,8 +124,8 @@ def climb(
         last = orders == balance.basis.orders
         level = balance if last else restrict(balance, orders)
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
-        goal, limit = (tolerance, None) if last else (coarse_tolerance, COARSE_STEPS)
-        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, limit, near=below is not None)
+        goal, most = (tolerance, limit) if last else (coarse_tolerance, COARSE_STEPS)
+        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, most, near=below is not None)
         if rungs and below is not None and not attempt.converged:
             split = split_at_length(level, guess[0], level.compliance.motion(*guess), goal, linear_solver)
             if split is not None:
@@ -271,29 +275,6 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
     return follow(balance, at, FIRST_LOAD_SHARE, attempt.unknowns, tolerance, counted, "of the oscillating load")
 
 
-def walk_weights(balance: HarmonicBalance, tolerance: float, neighbour: ContactSystem, found: Attempt) -> Attempt:
-    """Follow the solution from that of a system with other weights of the laws, in equal steps of their logarithms.
-
-    Args:
-        balance: The balance to solve.
-        tolerance: Residual norm accepted.
-        neighbour: The same system but for its laws' weights.
-        found: Its solution, in the same units.
-    """
-    pairs = list(zip(neighbour.laws, balance.system.laws, strict=True))
-
-    def at(share: float) -> HarmonicBalance:
-        share = min(max(share, -2.0), 3.0)  # a branch that wanders further off leads nowhere, and would overflow
-        laws = tuple(
-            replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
-            for other, law in pairs
-        )
-        return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit)
-
-    start = replace(found, residual=np.inf, converged=False)
-    return follow(balance, at, 0.0, found.unknowns, tolerance, start, "of the way from the default weights")
-
-
 def follow(
     goal: HarmonicBalance,
     balance_at: BalanceAt,
@@ -315,6 +296,8 @@ def follow(
         if (point := next(branch, None)) is None:
             break
         steps += point.steps
+        if point.parameter < BEHIND:
+            break
         if point.parameter < 1.0:
             here = point
             continue

@@ -29,7 +29,6 @@ from ewr_fenicsx.ladder import (
     start_cold,
     trace_damping,
     trace_load,
-    walk_weights,
 )
 from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.long_splitting import split_at_length
@@ -37,6 +36,7 @@ from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.warm_starts import go_on_from, guide
+from ewr_fenicsx.weights import approach_weights, has_own_weights, use_default_weights
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -49,6 +49,7 @@ APERIODIC, LAST_PERIODS = 0.1, 10
 TIGHTEST, LOOSEST = 1e-13, 1e-3
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
+OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 
 
@@ -162,9 +163,11 @@ def list_rungs(
         return
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
+    own = has_own_weights(problem)
     levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
-    yield "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse)
-    if has_own_weights(problem):
+    limit = OWN_STEPS if own and not problem.system.closures else None
+    yield "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
+    if own:
         given = (problem, balance, start, tolerance, linear_solver)
         yield "from the default weights", lambda _: leave_default_weights(*given)
         return  # which took all rungs there are with these
@@ -210,31 +213,6 @@ def estimate_rounding(problem: ContactProblem) -> float:
         return 0.0
     moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
     return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
-
-
-def has_own_weights(problem: ContactProblem) -> bool:
-    """Whether a problem gives weights of its laws, or their closure, which may cost many steps by themselves."""
-    return use_default_weights(problem) is not problem
-
-
-def use_default_weights(problem: ContactProblem) -> ContactProblem:
-    """The problem with default weights and dashpots, which need the fewest steps; itself where it has nothing else."""
-    own_closure = problem.has_springs or problem.system.closures
-    if problem.rho_normal is None and problem.rho_tangential is None and not own_closure:
-        return problem
-    return replace(problem, rho_normal=None, rho_tangential=None, closure="dashpot")
-
-
-def went_back(problem: ContactProblem) -> bool:
-    """Whether a solution's problem is one that ``solve`` went back to by ``use_default_weights``, or was asked for."""
-    weights = problem.rho_normal is problem.rho_tangential is None
-    return weights and isinstance(problem.closure, str) and problem.closure == "dashpot"
-
-
-def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProblem:
-    """The problem with the weights and the closure of another one; itself where it has these."""
-    named = {name: getattr(other, name) for name in ("rho_normal", "rho_tangential", "closure")}
-    return problem if all(getattr(problem, n) is value for n, value in named.items()) else replace(problem, **named)
 
 
 def start_from_time_stepping(
@@ -319,13 +297,13 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    motion = usual.system.compliance.motion(solution.forces, solution.rigid)
-    last = split_at_length(balance, solution.forces, motion, tolerance, linear_solver)
-    last = last or go_on_from(solution, balance, tolerance, linear_solver)
+    if problem.system.closures:  # no path leads from dashpots to springs
+        motion = usual.system.compliance.motion(solution.forces, solution.rigid)
+        last = split_at_length(balance, solution.forces, motion, tolerance, linear_solver)
+        last = last or go_on_from(solution, balance, tolerance, linear_solver)
+    else:
+        last = approach_weights(balance, usual.system, found, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations)
-    joined = not problem.system.closures and balance.size <= LARGEST_TRACED  # no path leads from dashpots to springs
-    if joined and not last.converged:
-        last = walk_weights(balance, tolerance, usual.system, replace(found, iterations=last.iterations))
     if last.converged:
         return last
     return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")

@@ -19,12 +19,13 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.estimates import estimate_errors, measure_distance, read_response
 from ewr_fenicsx.following import LARGEST_SURPRISE, Curve, Follower, Jump, compare_states
-from ewr_fenicsx.newton import adopt_weights, solve
+from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import Record, fingerprint, restore, strip
 from ewr_fenicsx.sweep_store import FORMAT, GroupStore
 from ewr_fenicsx.task_sharing import share_tasks
+from ewr_fenicsx.weights import adopt_weights
 
 GROUP = 6  # points a group
 PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics

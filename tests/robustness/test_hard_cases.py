@@ -22,6 +22,7 @@ from ewr_fenicsx import (
     snes,
     solve,
     time_integration,
+    weights,
 )
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
@@ -152,7 +153,7 @@ def test_where_nothing_leads_to_weights_far_off_the_default_ones_take_their_plac
     problem = hard_cases.pose_case(case)
     lost = lambda *_: Attempt(np.zeros(0), np.inf, 0, "as if", False)  # noqa: E731
     for way in ("split_at_length", "walk_weights"):
-        monkeypatch.setattr(newton, way, lost)
+        monkeypatch.setattr(weights, way, lost)
     solution = solve(problem)
     assert "from the default weights: solved with these only: as if" in solution.summary()
     assert solution.problem.rho_normal is solution.problem.rho_tangential is None

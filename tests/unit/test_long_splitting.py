@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS
 
-from ewr_fenicsx import ladder, long_splitting, solve
+from ewr_fenicsx import long_splitting, solve, weights
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.long_splitting import COARSE_GOAL, LONG, split_at_length
-from ewr_fenicsx.snes import Attempt, run_newton
+from ewr_fenicsx.snes import run_newton
 from ewr_fenicsx.splitting import Splitting, settle
 from ewr_fenicsx.time_integration import integrate
 
@@ -59,12 +59,8 @@ def test_it_leads_to_weights_far_off():
     balance, usual, motion = pose_far()
     found = split_at_length(balance, usual.forces, motion, 1e-8, "elimination")
     assert found.converged
-    walked = ladder.walk_weights(
-        balance,
-        1e-8,
-        usual.problem.system,
-        Attempt(balance.pack(usual.forces, usual.rigid), usual.residual, 0, "", True),
-    )
+    between = weights.blend_weights(usual.problem.system, balance)
+    walked = weights.walk_weights(balance, between, [(0.0, balance.pack(usual.forces, usual.rigid))], 1e-8)
     assert 2 * found.iterations < walked.iterations
     change = np.abs(balance.unpack(found.unknowns)[0] - usual.forces).max()
     assert change > 1e-3 * np.abs(usual.forces).max(), "weights change what a truncated series settles on"

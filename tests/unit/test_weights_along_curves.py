@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, findings, frequency_response, frequency_sweep, newton, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, findings, frequency_response, frequency_sweep, solve, weights
 from ewr_fenicsx.balance import HarmonicBalance
 
 LAWS = ContactLaws(friction=0.3)
@@ -22,7 +22,7 @@ def use_default_weights_below(frequency, monkeypatch):
     """Cold starts at lower frequencies are answered with the default weights, as where no way leads to those given."""
 
     def solve_cold(problem, **given):
-        return solve(newton.use_default_weights(problem) if problem.frequency < frequency else problem, **given)
+        return solve(weights.use_default_weights(problem) if problem.frequency < frequency else problem, **given)
 
     monkeypatch.setattr(frequency_sweep, "solve", solve_cold)
 
@@ -34,7 +34,7 @@ def test_a_curve_that_begins_with_the_default_weights_keeps_them(monkeypatch, an
     assert np.abs(sweep(**own).output("tip") - usual.output("tip")).max() > 1e-3 * np.abs(usual.output("tip")).max()
     use_default_weights_below(answered, monkeypatch)
     for curve in (sweep(**own, folder=tmp_path), sweep(**own, folder=tmp_path)):
-        assert curve.jumps == () and not any(newton.has_own_weights(s.problem) for s in curve.solutions)
+        assert curve.jumps == () and not any(weights.has_own_weights(s.problem) for s in curve.solutions)
         asked = ContactProblem(lift_off_oscillator(), LAWS, 0.1, **own)
         assert any("9 of them hold with default weights" in line for line in findings.tell_sweep(curve, asked))
         assert findings.list_facts_of_sweep(curve, asked)["sweep"]["with_default_weights"] == 9

@@ -1,0 +1,97 @@
+"""Weights of one's own, come to from the default ones: by splittings in stages, then along the branch."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ladder, solve, weights
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.continuation import BranchPoint
+from ewr_fenicsx.snes import Attempt
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import hard_cases
+
+
+@pytest.fixture(scope="module")
+def far():
+    """A balance with a thousand times the default weight of friction, the system with that weight, and its solution."""
+    case = hard_cases.Case("lap joint", 1.0, ("reached", 3.0), 0.6, 9, 0.05, "closed", (1.0, 1e3))
+    problem = hard_cases.pose_case(case)
+    usual = solve(weights.use_default_weights(problem))
+    balance = HarmonicBalance(problem.system)
+    unknowns = balance.pack(usual.forces, usual.rigid)
+    return balance, usual.problem.system, Attempt(unknowns, usual.residual, 0, "", True)
+
+
+def approach(far) -> Attempt:
+    return weights.approach_weights(*far, 1e-8, "elimination")
+
+
+def test_stages_lead_where_one_splitting_does_not(far, monkeypatch):
+    """To a solution of the asked balance; in one stage a walk has to follow, which takes several times the steps."""
+    walks, walk = [], weights.walk_weights
+    monkeypatch.setattr(weights, "walk_weights", lambda *given: walks.append(given[2]) or walk(*given))
+    staged = approach(far)
+    assert staged.converged and not walks
+    assert np.linalg.norm(far[0].residual(staged.unknowns)) <= 1e-8
+    monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
+    at_once = approach(far)
+    assert walks and at_once.converged and at_once.iterations > 2 * staged.iterations
+
+
+def test_large_joints_take_one_stage(far, monkeypatch):
+    tried, split = [], weights.split_at_length
+    monkeypatch.setattr(weights, "split_at_length", lambda level, *given: tried.append(level) or split(level, *given))
+    monkeypatch.setattr(weights, "LARGEST_STAGED", far[0].size - 1)
+    approach(far)
+    assert tried == [far[0]]
+
+
+@pytest.mark.parametrize(("lost", "begins"), [(False, 2 / 3), (True, 0.0)])
+def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far, monkeypatch, lost, begins):
+    balance, begun = far[0], []
+    split, follow, run = weights.split_at_length, weights.follow, weights.run_newton
+    monkeypatch.setattr(
+        weights, "split_at_length", lambda level, *given: None if level is balance else split(level, *given)
+    )
+    monkeypatch.setattr(weights, "follow", lambda *given: begun.append(given[-1]) or follow(*given))
+    if lost:  # as where what a splitting ends at is no solution
+
+        def run_except_first(*given, **options):
+            monkeypatch.setattr(weights, "run_newton", run)
+            return Attempt(given[1], np.inf, 1, "", False)
+
+        monkeypatch.setattr(weights, "run_newton", run_except_first)
+    found = approach(far)
+    assert begun == [f"of the way from {begins:.0%} to the asked weights"]
+    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+
+
+def test_weights_on_the_way_are_even_in_their_logarithms(far):
+    balance, neighbour, _ = far
+    at = weights.blend_weights(neighbour, balance)
+    friction = [at(share).system.laws[-1].rho for share in (0, 0.5, 1)]
+    np.testing.assert_allclose(friction[1] / friction[0], np.sqrt(1e3))
+    np.testing.assert_allclose(friction[2] / friction[1], np.sqrt(1e3))
+
+
+def test_a_branch_that_leads_away_is_left(far, monkeypatch):
+    """It went on for hundreds of points, and the failure told where it was in percents of sixty digits."""
+    balance, _, found = far
+    yielded = []
+
+    def run_away(at, here, *given, **options):
+        for k in range(1, 100):
+            yielded.append(BranchPoint(-(10.0**k), here.unknowns, 1))
+            yield yielded[-1]
+
+    monkeypatch.setattr(ladder, "trace_branch", run_away)
+    failed = Attempt(found.unknowns, np.inf, 0, "", False)
+    last = ladder.follow(balance, lambda share: balance, 0.0, found.unknowns, 1e-8, failed, "of the way")
+    assert len(yielded) == 1 and "lost or too long at 0% of the way" in last.reason
