@@ -121,7 +121,7 @@ def blend_weights(neighbour: ContactSystem, balance: HarmonicBalance) -> Balance
     def at(share: float) -> HarmonicBalance:
         share = min(max(share, BEHIND), FURTHEST)
         laws = tuple(
-            replace(law, rho=other.rho ** (1 - share) * law.rho**share) if hasattr(law, "rho") else law
+            replace(law, rho=other.rho * (law.rho / other.rho) ** share) if hasattr(law, "rho") else law
             for other, law in pairs
         )
         return HarmonicBalance(replace(balance.system, laws=laws), balance.force_unit)
