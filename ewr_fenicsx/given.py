@@ -39,10 +39,11 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
 
 
 def keep(value: object) -> object:
-    """A copy of something given, for a frozen owner: arrays as such that nobody can write to."""
+    """What a frozen owner keeps of something given: arrays that nobody can write to, copied where somebody could."""
     if isinstance(value, np.ndarray):
-        value = np.array(value)
-        value.flags.writeable = False
+        if value.flags.writeable or value.base is not None:
+            value = np.array(value)
+            value.flags.writeable = False
     elif isinstance(value, Mapping):
         return {key: keep(item) for key, item in value.items()}
     elif type(value) in (list, tuple):

@@ -18,6 +18,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import keep
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.unilateral import Signorini
+from ewr_fenicsx.weights import adopt_weights
 
 PAIRS, COORDINATES, RIGID, N = 6, 26, 3, 4
 FULL = 2 * N + 1  # real coefficients a row
@@ -184,6 +185,11 @@ def test_what_is_done_to_given_arrays_afterwards_changes_nothing(normal):
     for array in (problem.wear, problem.rho_normal, laws.friction):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+    assert replace(problem).wear is problem.wear, "what nobody can write to need not be copied again"
+    assert adopt_weights(problem, replace(problem)) is problem
+    view = wear[:]
+    view.flags.writeable = False
+    assert keep(view) is not view, "its base can be written to"
 
 
 def test_arrays_of_own_parameters_are_kept_as_well():
