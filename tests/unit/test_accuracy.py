@@ -358,6 +358,9 @@ def test_where_single_steps_tell_of_a_large_error_the_neighbouring_problem_is_so
     true, stepped = measure_distance(reference, solution), estimates.estimate_together(solution, estimates.USUAL)
     assert stepped > 5 * true
     assert true < estimates.estimate_at_once(solution).total < 3 * true
+    with monkeypatch.context() as small:
+        small.setattr(estimates, "LARGEST_AHEAD", solution.unknowns - 1)
+        assert estimates.estimate_at_once(solution).total == stepped, "it would take long"
     failed = replace(solution, converged=False)
     monkeypatch.setattr(estimates, "solve", lambda *given, **options: failed)
     assert estimates.estimate_at_once(solution).total == stepped
