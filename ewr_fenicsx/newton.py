@@ -297,12 +297,7 @@ def leave_default_weights(
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
-    if problem.system.closures:  # no path leads from dashpots to springs
-        motion = usual.system.compliance.motion(solution.forces, solution.rigid)
-        last = split_at_length(balance, solution.forces, motion, tolerance, linear_solver)
-        last = last or go_on_from(solution, balance, tolerance, linear_solver)
-    else:
-        last = approach_weights(balance, usual.system, found, tolerance, linear_solver)
+    last = approach_weights(balance, solution, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations)
     if last.converged:
         return last

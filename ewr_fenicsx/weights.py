@@ -20,7 +20,8 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ladder import BEHIND, LARGEST_TRACED, follow
 from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
-from ewr_fenicsx.warm_starts import WARM_STEPS, try_starts
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
 
 # Shares of the way, in the logarithms of the weights, that splittings take one after the other; and how closely those
 # on the way are solved.
@@ -55,37 +56,37 @@ def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProb
 
 
 def approach_weights(
-    balance: HarmonicBalance, neighbour: ContactSystem, found: Attempt, tolerance: float, linear_solver: LinearSolver
+    balance: HarmonicBalance, usual: PeriodicSolution, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Come to the weights of a balance from those of a neighbour: by splittings in stages, then along the branch.
+    """Come to the weights of a balance from the default ones: by splittings in stages, then along the branch.
 
     Args:
         balance: The balance to solve.
-        neighbour: The same system but for its laws' weights.
-        found: Its solution, in the same units.
+        usual: The solution of the same problem with default weights and dashpots.
         tolerance, linear_solver: As in ``solve``.
 
     Returns:
-        The solution or the last attempt, with the Newton steps of all but ``found``.
+        The solution or the last attempt, with the Newton steps of all.
     """
-    at, share, here, steps = blend_weights(neighbour, balance), 0.0, found.unknowns, 0
-    for stage in STAGES if balance.size <= LARGEST_STAGED else STAGES[-1:]:
+    neighbour, begin = usual.problem.system, balance.pack(usual.forces, usual.rigid)
+    joined = not balance.system.closures  # no path leads from dashpots to springs
+    at = blend_weights(neighbour, balance) if joined else None
+    share, here, steps = 0.0, begin, 0
+    for stage in STAGES if joined and balance.size <= LARGEST_STAGED else STAGES[-1:]:
         level, goal = (balance, tolerance) if stage == 1.0 else (at(stage), max(tolerance, STAGE_TOLERANCE))
         forces, rigid = balance.unpack(here)
-        last = split_at_length(level, forces, balance.compliance.motion(forces, rigid), goal, linear_solver)
+        last = split_at_length(level, forces, neighbour.compliance.motion(forces, rigid), goal, linear_solver)
         steps += last.iterations if last else 0
         if last is None or not last.converged:
             break
         share, here = stage, last.unknowns
     if share == 0.0 and last is None:  # as with laws that are no projections
-        starts = [(here, True, 0), (here, False, 0)]
-        last = try_starts(balance, starts, tolerance, linear_solver, WARM_STEPS)
+        last = go_on_from(usual, balance, tolerance, linear_solver)
         steps += last.iterations
-        share = float(last.converged)
-    if share < 1.0 and balance.size <= LARGEST_TRACED:
-        last = walk_weights(balance, at, [(share, here), (0.0, found.unknowns)], tolerance)
+    if joined and not (last and last.converged) and balance.size <= LARGEST_TRACED:
+        last = walk_weights(balance, at, [(share, here), (0.0, begin)], tolerance)
         steps += last.iterations
-    last = last or replace(found, converged=False, reason="no splitting came near a solution")
+    last = last or Attempt(here, np.inf, 0, "no splitting came near a solution", False)
     return replace(last, iterations=steps)
 
 

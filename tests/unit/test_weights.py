@@ -20,13 +20,10 @@ import hard_cases
 
 @pytest.fixture(scope="module")
 def far():
-    """A balance with a thousand times the default weight of friction, the system with that weight, and its solution."""
+    """A balance with a thousand times the default weight of friction, and the solution with that weight."""
     case = hard_cases.Case("lap joint", 1.0, ("reached", 3.0), 0.6, 9, 0.05, "closed", (1.0, 1e3))
     problem = hard_cases.pose_case(case)
-    usual = solve(weights.use_default_weights(problem))
-    balance = HarmonicBalance(problem.system)
-    unknowns = balance.pack(usual.forces, usual.rigid)
-    return balance, usual.problem.system, Attempt(unknowns, usual.residual, 0, "", True)
+    return HarmonicBalance(problem.system), solve(weights.use_default_weights(problem))
 
 
 def approach(far) -> Attempt:
@@ -74,8 +71,8 @@ def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far,
 
 
 def test_weights_on_the_way_are_even_in_their_logarithms(far):
-    balance, neighbour, _ = far
-    at = weights.blend_weights(neighbour, balance)
+    balance, usual = far
+    at = weights.blend_weights(usual.problem.system, balance)
     friction = [at(share).system.laws[-1].rho for share in (0, 0.5, 1)]
     np.testing.assert_allclose(friction[1] / friction[0], np.sqrt(1e3))
     np.testing.assert_allclose(friction[2] / friction[1], np.sqrt(1e3))
@@ -83,8 +80,8 @@ def test_weights_on_the_way_are_even_in_their_logarithms(far):
 
 def test_a_branch_that_leads_away_is_left(far, monkeypatch):
     """It went on for hundreds of points, and the failure told where it was in percents of sixty digits."""
-    balance, _, found = far
-    yielded = []
+    balance, usual = far
+    unknowns, yielded = balance.pack(usual.forces, usual.rigid), []
 
     def run_away(at, here, *given, **options):
         for k in range(1, 100):
@@ -92,6 +89,6 @@ def test_a_branch_that_leads_away_is_left(far, monkeypatch):
             yield yielded[-1]
 
     monkeypatch.setattr(ladder, "trace_branch", run_away)
-    failed = Attempt(found.unknowns, np.inf, 0, "", False)
-    last = ladder.follow(balance, lambda share: balance, 0.0, found.unknowns, 1e-8, failed, "of the way")
+    failed = Attempt(unknowns, np.inf, 0, "", False)
+    last = ladder.follow(balance, lambda share: balance, 0.0, unknowns, 1e-8, failed, "of the way")
     assert len(yielded) == 1 and "lost or too long at 0% of the way" in last.reason
