@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +14,8 @@ from ewr_fenicsx.bonded import Bond
 from ewr_fenicsx.composition import compose
 from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import keep
 from ewr_fenicsx.law_kinds import spread_over_pairs
 from ewr_fenicsx.unilateral import Signorini
-from ewr_fenicsx.weights import adopt_weights
 
 PAIRS, COORDINATES, RIGID, N = 6, 26, 3, 4
 FULL = 2 * N + 1  # real coefficients a row
@@ -158,47 +155,6 @@ def test_a_group_takes_the_forces_of_its_pairs_from_those_of_all():
     given = ContactProblem(model, groups, 0.1, 2).system.prescribed
     np.testing.assert_array_equal(given[0], [5.0, 0.0, 7.0])
     np.testing.assert_array_equal(given[1], [1j, 0.0, 3.0])
-
-
-@pytest.mark.parametrize("normal", ["unilateral", "prescribed"])
-def test_what_is_done_to_given_arrays_afterwards_changes_nothing(normal):
-    """Also in problems that are made of this one, and in what is computed when it is first asked for."""
-    pairs, harmonics, force = [2, 0, 1], [0, 1, 3], {0: np.full(3, 5.0), 1: np.full(3, 1j)}
-    friction, gap, rho, wear = np.full(3, 0.3), np.full(3, 1e-3), np.full(3, 7.0), np.full(3, 2e-3)
-    laws = ContactLaws(
-        normal, friction=friction, initial_gap=gap, normal_force=force if normal == "prescribed" else None
-    )
-    given = {"rho_normal": rho, "rho_tangential": rho, "closure": gap, "wear": wear}
-    problem = ContactProblem(random_structure(), [(pairs, laws)], 0.1, harmonics, **given)
-    pairs[:], harmonics[2], force[1] = [0, 1, 2], 9, 0.0
-    for array in (friction, gap, rho, wear, force[0]):
-        array *= 3
-    for kept in (problem, replace(problem), pickle.loads(pickle.dumps(problem))):
-        assert kept.groups[0][0].tolist() == [2, 0, 1] and kept.basis.orders == (0, 1, 3)
-        np.testing.assert_array_equal(kept.friction, 0.3)
-        np.testing.assert_array_equal(kept.system.laws[-1].friction, 0.3)
-        np.testing.assert_array_equal(kept.clearance, 3e-3 if normal == "unilateral" else 0.0)
-        for h, amplitude in kept.given_force.items():
-            np.testing.assert_array_equal(amplitude, {0: 5.0, 1: 1j}[h])
-        for name, value in {"rho_normal": 7.0, "rho_tangential": 7.0, "closure": 1e-3, "wear": 2e-3}.items():
-            np.testing.assert_array_equal(getattr(kept, name), value)
-    for array in (problem.wear, problem.rho_normal, laws.friction):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1.0
-    assert replace(problem).wear is problem.wear, "what nobody can write to need not be copied again"
-    assert adopt_weights(problem, replace(problem)) is problem
-    view = wear[:]
-    view.flags.writeable = False
-    assert keep(view) is not view, "its base can be written to"
-
-
-def test_arrays_of_own_parameters_are_kept_as_well():
-    given = {"stiffness": [np.ones(2)], "by_name": {"a": np.ones(2)}}
-    kept = keep(given)
-    given["stiffness"][0][:], given["by_name"]["a"][:] = 2.0, 3.0
-    given["stiffness"].append(4.0)
-    np.testing.assert_array_equal(kept["stiffness"], [[1.0, 1.0]])
-    np.testing.assert_array_equal(kept["by_name"]["a"], 1.0)
 
 
 @pytest.mark.parametrize(
