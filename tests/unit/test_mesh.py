@@ -12,6 +12,7 @@ import pytest
 from mesh_counts import count
 from mpi4py import MPI
 
+from ewr_fenicsx._compat import gmsh_is_running
 from ewr_fenicsx.errors import MeshError
 from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.scene_sense import doubt_extent
@@ -56,15 +57,6 @@ def squares(tmp_path):
         return path
 
     return write
-
-
-def gmsh_is_running() -> bool:
-    if hasattr(gmsh, "isInitialized"):
-        return bool(gmsh.isInitialized())
-    try:
-        return bool(gmsh.model.list())
-    except Exception:  # gmsh raises nothing more specific
-        return False
 
 
 def build(path: Path, **parameters) -> JointMesh:
@@ -357,6 +349,18 @@ def test_a_running_gmsh_keeps_its_models_and_options(squares, fails):
         gmsh.option.setNumber("General.Terminal", 0)  # a stopped gmsh 4.8 would go on printing
     finally:
         gmsh.finalize()
+
+
+def test_gmsh_is_known_to_run_without_asking_it():
+    """Before its first start, gmsh 4.8 answers some questions by ending the process, as what is in memory has it."""
+    program = (
+        "import gmsh; from ewr_fenicsx._compat import gmsh_is_running; gmsh.model.list = None; said = []\n"
+        "for change in (lambda: None, lambda: gmsh.initialize([], False), gmsh.finalize) * 2:\n"
+        "    change(); said.append(gmsh_is_running())\n"
+        "print(said)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert run.stdout == f"{[False, True, False] * 2}\n", run.stderr
 
 
 def test_gmsh_is_quiet():
