@@ -12,6 +12,7 @@ from ewr_fenicsx import indicators
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.floquet import find_growth, grows, settles, tell_where_to
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
@@ -20,6 +21,7 @@ from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
 SETTLING, SETTLED = 8, 1e-8  # Newton steps to a solution next to this one, and their residual over its forces
+MISSED = 0.05  # share of the oscillating contact forces, at a harmonic that is not kept, that is worth a word
 FEW_MULTIPLES = 3  # of the loads' harmonics: with fewer, friction and taps are hardly seen
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
@@ -119,7 +121,7 @@ class PeriodicSolution(PeriodicMotion):
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
-        lines += self._list_few_multiples() + self.list_hit_modes()
+        lines += self._list_few_multiples() + self._list_missing() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
@@ -150,6 +152,23 @@ class PeriodicSolution(PeriodicMotion):
             return []
         few = f"all loads act at multiples of harmonic {base}, and few of these are kept"
         return [f"{few}: give harmonics = {5 * base} or more, or the loads' own frequency with loads at harmonic 1"]
+
+    def _list_missing(self) -> list[str]:
+        """Where a list of harmonics lacks some, below its highest, at which the laws would have contact forces."""
+        kept = {*self.orders, *self.left_out}
+        missing = [h for h in range(1, self.orders[-1]) if h not in kept]
+        if not missing or not self.problem.system.laws:
+            return []
+        balance, wave = self._pose()[0], FourierBasis(tuple(missing), self.problem.basis.samples)
+        seen = balance.sample(self.forces, balance.compliance.motion(self.forces, self.rigid))
+        unmet = [law.evaluate(motion).residual for law, motion in zip(self.problem.system.laws, seen, strict=True)]
+        size = np.linalg.norm(wave.to_amplitudes(wave.project(np.hstack(unmet))), axis=1)
+        share = size / np.linalg.norm([*size, np.linalg.norm(self.forces[np.array(self.orders) > 0])])
+        worst = int(np.argmax(share))
+        if not share[worst] > MISSED:
+            return []
+        told = f"{share[worst]:.0%} of the oscillating contact forces at harmonic {missing[worst]}, which is not kept"
+        return [f"the laws would have {told}: add it, or give the highest harmonic as a number to keep all up to there"]
 
     def list_hit_modes(self) -> list[str]:
         """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""

@@ -1,4 +1,4 @@
-"""What a summary warns of: few multiples of the loads' harmonics, a mode without damping that is hit."""
+"""What a summary warns of: few multiples of the loads' harmonics, harmonics left out, modes without damping hit."""
 
 from __future__ import annotations
 
@@ -35,6 +35,25 @@ def test_few_multiples_do_where_nothing_rubs_or_opens():
     assert solve(load_at(3, laws=replace(RUBS, friction=5.0))).cautions == ()
     both = lift_off_oscillator()
     assert solve(ContactProblem(replace(both, load=both.load | {3: both.load[1]}), RUBS, 0.1)).cautions == ()
+
+
+def test_a_harmonic_that_a_list_lacks_is_told_where_contact_excites_it():
+    problem = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.16, 9)
+    whole, listed = solve(problem), solve(replace(problem, harmonics=(0, 1, 2, 4, 5)))
+    share = np.linalg.norm(whole.forces[3]) / np.linalg.norm(whole.forces[1:])
+    assert share > 0.2
+    (told,) = (line for line in listed.cautions if "not kept" in line)
+    assert "at harmonic 3, which is not kept: add it" in told
+    assert float(told.split("%")[0].split()[-1]) / 100 == pytest.approx(share, rel=0.5)
+    assert not any("not kept" in line for line in solve(replace(problem, harmonics=(0, 1, 2, 3))).cautions)
+
+
+def test_harmonics_that_are_zero_by_symmetry_may_be_left_out_of_a_list():
+    model = friction_oscillator(damping=0.02)
+    odd = solve(ContactProblem(model, RUBS, 0.12, (1, 3, 5, 7), closure="dashpot"))
+    assert not any("not kept" in line for line in odd.cautions) and odd.merit["friction_dissipation"] > 0
+    few = solve(ContactProblem(model, RUBS, 0.12, (1, 2, 5), closure="dashpot"))
+    assert any("at harmonic 3, which is not kept" in line for line in few.cautions)
 
 
 def test_an_accuracy_may_take_as_many_multiples_whatever_the_harmonic():
