@@ -42,8 +42,7 @@ ROUNDED = 1e-12  # share of the largest response, below which another one is its
 AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
 USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
-# Residual to which a neighbouring problem is solved where single steps will not do; unknowns of a solution up to which
-AHEAD, LARGEST_AHEAD = 1e-5, 2000
+LARGEST_AHEAD = 2000  # unknowns of a solution, up to which a neighbouring problem is solved where single steps fail
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
 
@@ -241,7 +240,7 @@ def estimate_at_once(
     error = estimate_together(solution, USUAL, figure)
     if error > CLEAR * USUAL and solution.unknowns <= LARGEST_AHEAD:
         problem, seen = look_further(solution)
-        ahead = solve(problem, solution, AHEAD, fallbacks=False, raise_on_failure=False)
+        ahead = solve(problem, solution, fallbacks=False, raise_on_failure=False)
         error = measure_distance(ahead, solution, figure) / seen if ahead.converged else error
     return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure))
 
