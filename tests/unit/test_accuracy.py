@@ -29,7 +29,7 @@ from ewr_fenicsx.looking_ahead import raise_harmonics, take_step
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from hard_cases import Case, pose_case  # noqa: E402
+from hard_cases import Case, pose_case
 
 FREQUENCY = 0.7 / (2 * np.pi)
 
@@ -373,6 +373,6 @@ def test_where_single_steps_tell_of_a_large_error_the_neighbouring_problem_is_so
 
 
 def test_a_neighbouring_problem_is_solved_closely_where_forces_are_small():
-    """Beside the forces that would close all gaps. With 1e-5 of these left over, nothing was: an error of 0 was told."""
+    """Beside the forces that would close all gaps. With 1e-5 of these left, nothing moved: an error of 0 was told."""
     posed = pose_case(Case("lap joint", 0.95, ("applied", 0.1), 0.6, 8, 0.005, "random", (1, 1)))
     assert 0.1 < estimates.estimate_at_once(solve(posed)).total < 1.0, "11 %, by time stepping"
