@@ -52,12 +52,13 @@ def compose(problem: Statement) -> ContactSystem:
 
     Raises:
         ModelError: A law needs contact rows that the model lacks, a row that nothing can move, or a given normal force
-            at harmonics that the problem does without.
+            at harmonics that the problem does without; or contact holds a floating body, and harmonic 0 is not kept.
         UnheldBody: Contact cannot hold a floating body under its mean load.
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
     check_given_force(problem)
+    check_mean(basis, layout)
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
@@ -96,6 +97,19 @@ def check_given_force(problem: Statement) -> None:
                 f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
                 f"from a lower one; give at least {2 * h + 1}"
             )
+
+
+def check_mean(basis: FourierBasis, layout: Layout) -> None:
+    """Refuses contact forces without a mean on bodies that nothing else holds: they may walk, and nobody would see.
+
+    Raises:
+        ModelError: Harmonic 0 is not kept, and contact holds a floating body.
+    """
+    if not basis.has_mean and np.any(layout.rows @ layout.model.rigid_modes):
+        raise ModelError(
+            f"contact holds a floating body, and the problem keeps only harmonics {basis.orders}: whether it carries "
+            "the mean load, or the body walks, would not show; add 0 to harmonics"
+        )
 
 
 def build_laws(
@@ -149,14 +163,23 @@ def choose_closing_mass(
 ) -> RealArray:
     """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
 
-    None where bodies hang on friction: dashpots tell whether these walk.
+    None where bodies hang on friction: dashpots tell whether these walk. And none where no equation of the mean keeps
+    the mass's own surface from sliding off.
     """
     highest, at = problem.basis.orders[-1], layout.index[direction]
     masses = np.zeros(at.size)
-    if problem.has_masses and highest and not rubs_to_hold:
+    held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
+    if problem.has_masses and highest and held and not rubs_to_hold:
         odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
         masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, odd)
     return masses[pairs]
+
+
+def halves_repeat(problem: Statement, pairs: np.ndarray, layout: Layout) -> bool:
+    """Whether friction has no mean at a group of pairs by half-wave symmetry: motions are odd, given limits even."""
+    limits = {h for h, force in problem.given_force.items() if np.any(force[pairs])}
+    given = np.all(layout.row_of("normal", pairs) < 0)
+    return bool(given) and all(h % 2 for h in problem.basis.orders) and not any(h % 2 for h in limits)
 
 
 def find_friction_that_holds(problem: Statement, layout: Layout, compliance: DynamicCompliance) -> bool:

@@ -56,6 +56,8 @@ class DryFriction(LawKind):
         friction = group.spread(self.friction)
         springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
         closing, masses = group.closing["tangential"], group.closing_mass["tangential"]
+        if self.static_friction == "zero":  # nothing would keep a mass's own surface from sliding off
+            masses = np.zeros_like(masses)
         closures = (
             (Coulomb, group.weight["tangential"], (closing <= 0) & (masses <= 0)),
             (SprungCoulomb, closing, closing > 0),

@@ -156,7 +156,7 @@ class PeriodicSolution(PeriodicMotion):
     def _list_missing(self) -> list[str]:
         """Where a list of harmonics lacks some, below its highest, at which the laws would have contact forces."""
         kept = {*self.orders, *self.left_out}
-        missing = [h for h in range(1, self.orders[-1]) if h not in kept]
+        missing = [h for h in range(self.orders[-1]) if h not in kept]
         if not missing or not self.problem.system.laws:
             return []
         balance, wave = self._pose()[0], FourierBasis(tuple(missing), self.problem.basis.samples)

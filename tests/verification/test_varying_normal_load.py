@@ -121,6 +121,41 @@ def test_under_a_constant_load_both_agree():
     np.testing.assert_allclose(resolved.forces, zero.forces, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "static_friction, harmonics", [("zero", 15), ("resolved", tuple(range(1, 16))), ("resolved", 15)]
+)
+def test_masses_do_not_slide_off_where_nothing_holds_the_mean(static_friction, harmonics):
+    """Without an equation for the mean they slid one way throughout: amplitudes by a half too large, without a word."""
+    ripple, phase = CASES[0]
+    x, _ = step_to_the_steady_state(ripple, phase)
+    laws = ContactLaws(
+        "prescribed",
+        normal_force={0: MEAN_LOAD, 1: ripple * np.exp(1j * phase)},
+        friction=1.0,
+        static_friction=static_friction,
+    )
+    problem = ContactProblem(friction_oscillator(damping=DAMPING), laws, FREQUENCY / (2 * np.pi), harmonics)
+    solution = solve(problem)
+    assert (solution.problem.system.closures == ("masses",)) == (static_friction == "resolved" and harmonics == 15)
+    first = 2 * abs(np.mean(x * np.exp(-2j * np.pi * np.arange(STEPS) / STEPS)))
+    assert abs(solution.output("tip")[solution.orders.index(1)]) == pytest.approx(first, rel=0.05)
+    assert solution.merit["J_T"] < 1.01 * 2 * np.ptp(solution.history("slip"))
+    told = [line for line in solution.cautions if "at harmonic 0, which is not kept" in line]
+    assert bool(told) == isinstance(harmonics, tuple)
+
+
+def test_masses_close_odd_harmonics_by_themselves_where_halves_repeat():
+    """Its mean friction is zero by symmetry; under a limit that differs from half to half it is not."""
+    model = friction_oscillator(damping=DAMPING)
+    for ripple, closures in (({0: MEAN_LOAD, 2: 0.1}, ("masses",)), ({0: MEAN_LOAD, 1: 0.1}, ())):
+        laws = ContactLaws("prescribed", normal_force=ripple, friction=1.0)
+        odd = ContactProblem(model, laws, FREQUENCY / (2 * np.pi), (1, 3, 5, 7))
+        assert odd.system.closures == closures
+        if closures:
+            all_of_them = solve(replace(odd, harmonics=7))
+            assert solve(odd).output("tip")[0] == pytest.approx(all_of_them.output("tip")[1], rel=1e-6)
+
+
 def shaken_down(closure: str = "dashpot") -> tuple[ContactProblem, float]:
     """A spring ``k`` from a driven mass to a slider that sticks, but only where it has shifted.
 
