@@ -18,7 +18,7 @@ from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.continuation import BranchPoint, measure_arc, retraces, trace_branch
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.given import ComplexArray
-from ewr_fenicsx.newton import solve, wrap
+from ewr_fenicsx.newton import attend_to_faint_forces, solve, wrap
 from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import list_predicted, try_starts
@@ -94,6 +94,7 @@ def solve_from(
         rigid = rigid + ratio * (rigid - earlier.rigid)
     starts = list_predicted(balance, forces, motion, rigid)
     attempt = try_starts(balance, starts, tolerance, "elimination", NEWTON_STEPS)
+    attempt = attend_to_faint_forces(balance, attempt, tolerance, "elimination")
     return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
 
 
