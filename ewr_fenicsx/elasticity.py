@@ -17,6 +17,7 @@ import scipy.sparse
 import scipy.sparse.csgraph
 import ufl
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
@@ -179,7 +180,7 @@ def assemble_structure(
 
     Raises:
         MeshError: A mesh that is not plane, or whose cells are of a higher order than the elements; a name that is no
-            body or boundary of it; a boundary with no facet; one of a load or an output that runs through the inside.
+            body or boundary of it; a boundary with no facet; one of a load or an output that is inside, or a flank.
         SceneError: A value out of its range, a body without material.
         EwrError: The forms cannot be compiled.
     """
@@ -209,7 +210,7 @@ def assemble_structure(
         rayleigh=damping if isinstance(damping, Rayleigh) else UNDAMPED,
         fixed_dofs=_clamped_dofs(mesh, space, clamp),
         loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
-        outputs={o.name: mean_over_edge(space, _outer_facets(mesh, o.boundary), _unit(o)) for o in outputs},
+        outputs={o.name: mean_over_edge(space, _outer_facets(mesh, o, "output"), _unit(o)) for o in outputs},
         modal_damping=damping.ratio if isinstance(damping, PerMode) else None,
     )
 
@@ -249,19 +250,47 @@ def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
     return np.unique(facets).astype(np.int32)
 
 
-def _outer_facets(mesh: JointMesh, name: str) -> np.ndarray:
-    """``boundary_facets`` of a boundary that must not run through the inside, where no edge integral sees it."""
-    facets, topology = boundary_facets(mesh, name), mesh.domain.topology
+def _outer_facets(mesh: JointMesh, entry: EdgeForce | OutputSpec, what: str) -> np.ndarray:
+    """``boundary_facets`` of a boundary that must be no flank, nor be inside, where no edge integral sees it."""
+    facets, topology = boundary_facets(mesh, entry.boundary), mesh.domain.topology
     topology.create_connectivity(1, 2)
     owned = facets[facets < topology.index_map(1).size_local]
     inside = np.setdiff1d(owned, dolfinx.mesh.exterior_facet_indices(topology))
     counts = [mesh.domain.comm.allreduce(len(f)) for f in (inside, owned)]
     if counts[0]:
         raise MeshError(
-            f'boundary "{name}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either side; a load '
-            "or an output needs an edge of the bodies"
+            f'boundary "{entry.boundary}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either '
+            "side; a load or an output needs an edge of the bodies"
+        )
+    if bodies := _find_bodies_face_to_face(mesh, owned):
+        each = "each would carry a part of the load" if what == "load" else "the output would be the mean over both"
+        raise MeshError(
+            f'{what}s.{entry.name}.boundary = "{entry.boundary}" is a flank: its curves are on both bodies, '
+            f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
         )
     return facets
+
+
+def _find_bodies_face_to_face(mesh: JointMesh, facets: np.ndarray) -> tuple[str, ...]:
+    """Names of two bodies that have exterior facets, given by each rank's own, at the same place; else none."""
+    domain = mesh.domain
+    cells_of, cells = domain.topology.connectivity(1, 2), domain.topology.index_map(2)
+    tags = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    tags[mesh.cell_tags.indices] = mesh.cell_tags.values
+    beside = np.array([cells_of.links(f)[0] for f in facets], dtype=np.int32)
+    middle = dolfinx.mesh.compute_midpoints(domain, 1, facets)
+    outward = middle - dolfinx.mesh.compute_midpoints(domain, 2, beside)
+    everyone = domain.comm.allgather((tags[beside], middle, outward))
+    body, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
+    depth = np.linalg.norm(outward, axis=1)
+    for tag in np.unique(body)[1:]:
+        mine, others = np.flatnonzero(body == tag), np.flatnonzero(body < tag)
+        distance, partner = cKDTree(middle[others]).query(middle[mine])
+        there = others[partner]
+        opposed = np.sum(outward[mine] * outward[there], axis=1) < -0.5 * depth[mine] * depth[there]
+        if np.any(meet := opposed & (distance < depth[mine])):  # also across a gap that the mesh has
+            return tuple(name for name, known in mesh.bodies.items() if known in (tag, body[there[meet][0]]))
+    return ()
 
 
 def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
@@ -336,7 +365,7 @@ def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: 
 
 def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> Load:
     if isinstance(load, EdgeForce):
-        forces = mean_over_edge(space, _outer_facets(mesh, load.boundary), load.force)
+        forces = mean_over_edge(space, _outer_facets(mesh, load, "load"), load.force)
     else:
         centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
         form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx

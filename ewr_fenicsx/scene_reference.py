@@ -26,7 +26,8 @@ shows what it holds, `ewr run SCENE` solves it. In Python the same names build a
 
 Only keys marked **required** must be given. Paths are relative to the scene file. An unknown key is an error that
 names the nearest known one. `NAME` stands for a name of your choice, `BODY` for a body of the geometry; boundaries,
-bodies and flanks have the names that the geometry gives them.
+bodies and flanks have the names that the geometry gives them. Loads and outputs take boundaries that are no flanks: a
+flank's curves are on both bodies, and a load would be shared between them.
 
 A complete scene, as a file in the root of this repository:
 

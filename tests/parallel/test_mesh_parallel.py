@@ -78,6 +78,14 @@ def test_a_builder_that_leaves_stops_both(mpirun, tmp_path):
     assert run.stderr.count("leaving.py: SystemExit: no licence") == 1
 
 
+def test_a_load_on_a_flank_is_refused_on_both(mpirun, tmp_path):
+    """Each rank sees a part of the flank, or none."""
+    (tmp_path / "scene.toml").write_text(write_blocks().replace('boundary = "tip"', 'boundary = "joint"', 1))
+    run = mpirun(2, "ewr", "info", "scene.toml", timeout=60.0)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count('loads.push.boundary = "joint" is a flank') == 1
+
+
 def test_a_mesh_too_small_for_its_ranks_is_refused(mpirun, tmp_path):
     """Four cells on five ranks: PETSc crashes on a rank without any."""
     (tmp_path / "scene.toml").write_text(write_blocks(parameters="columns = 2, blade_rows = 1, disk_rows = 1"))

@@ -19,6 +19,7 @@ from ewr_fenicsx.materials import TITANIUM, Material, PerMode, Rayleigh, Rayleig
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+FLUSH_BLOCKS = TWO_BLOCKS.with_name("flush_blocks.py")
 BOTH = {"blade": TITANIUM, "disk": TITANIUM}
 
 
@@ -164,6 +165,33 @@ def test_a_load_or_output_inside_a_body_is_refused(entry):
     welded = build_mesh(TWO_BLOCKS, {"welded": True, "columns": 4}, MPI.COMM_WORLD)
     with pytest.raises(MeshError, match='boundary "joint": 4 of its 4 facets lie inside'):
         assemble_structure(welded, materials=BOTH, **entry)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-4])
+@pytest.mark.parametrize(
+    "entry, words",
+    [
+        ({"loads": [EdgeForce("press", "joint", (0.0, -1.0))]}, "loads.press.*carry a part of the load"),
+        ({"outputs": [OutputSpec("mid", "joint", (1.0, 0.0))]}, "outputs.mid.*be the mean over both"),
+    ],
+)
+def test_a_load_or_output_on_a_flank_is_refused(entry, words, shift):
+    """It would be spread over both bodies, or be their mean, without a word; also where the mesh has a gap."""
+    apart = build_mesh(TWO_BLOCKS, {"shift": shift}, MPI.COMM_WORLD)
+    with pytest.raises(MeshError, match=words) as told:
+        assemble_structure(apart, materials=BOTH, **entry)
+    assert 'boundary = "joint" is a flank: its curves are on both bodies, ' in str(told.value)
+    assert "blade" in str(told.value) and "disk" in str(told.value)
+    assert str(told.value).endswith("name a boundary of one body")
+
+
+@pytest.mark.parametrize("boundary", ["sides", "ends"])
+def test_a_boundary_with_curves_of_several_bodies_that_do_not_meet_carries_a_load(boundary):
+    """One straight side of both blocks, across the joint; and their far ends, which look away from each other."""
+    mesh = build_mesh(FLUSH_BLOCKS, {}, MPI.COMM_WORLD)
+    load = EdgeForce("press", boundary, (3.0, -4.0))
+    structure = assemble_structure(mesh, materials=BOTH, loads=[load], outputs=[OutputSpec("mid", boundary, (1, 0))])
+    np.testing.assert_allclose(structure.loads[0].vector.array.reshape(-1, 2).sum(axis=0), load.force)
 
 
 @pytest.mark.parametrize(
