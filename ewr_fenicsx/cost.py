@@ -46,7 +46,8 @@ class Figures:
         output: ``(HIGHEST, p)`` complex amplitudes of the outputs from harmonic 1 on [m].
         sliding: ``(K_c,)`` distance slid a cycle [m].
         normal_force: ``(SAMPLES, K_c)`` [N].
-        wear: ``(K_c,)`` integral of ``p |v|`` over a cycle: what wears, but for its coefficient [Pa m].
+        wear: ``(K_c,)`` integral of ``p |v|`` over a cycle: what wears, but for its coefficient [Pa m]; of the force in
+            place of the pressure where the model has no areas [N m].
         penetration: Largest, over the largest opening or, without any, the largest slip.
         tension: Largest, over the largest normal force.
         cone_violation: Largest, over the largest limit.
@@ -69,6 +70,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         for h, amplitude in zip(orders, motion.output(name), strict=True):
             if 0 < h <= HIGHEST:
                 output[h - 1, i] = amplitude
+    area = 1.0 if problem.model.pair_area is None else problem.model.pair_area
     names = ("normal_force", "friction_force", "gap", "slip")
     force, friction, gap, slip = (motion.history(name, SAMPLES) for name in names)
     speed = motion.sliding_speed(SAMPLES)
@@ -78,7 +80,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         output=output,
         sliding=measure_sliding(speed, period),
         normal_force=force,
-        wear=period * (pressing / problem.model.pair_area * speed).mean(axis=0),
+        wear=period * (pressing / area * speed).mean(axis=0),
         penetration=max(0.0, -float(gap[:, problem.opens].min(initial=0.0))) / opening,
         tension=max(0.0, -float(force[:, problem.opens].min(initial=0.0))) / (float(force.max(initial=0.0)) or 1.0),
         cone_violation=measure_cone_violation(friction[:, rubs], force[:, rubs], problem.friction[rubs]),

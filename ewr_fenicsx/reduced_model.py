@@ -53,7 +53,7 @@ class ReducedModel:
             for any two unit tangents at right angles; or None. By ``normal`` (zeros where a pair has no normal motion)
             the two of a pair are told from two pairs: without it, each row is a pair of its own.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
-        pair_area: ``(K_c,)`` tributary area of each pair [m^2]; ones by default.
+        pair_area: ``(K_c,)`` tributary area of each pair [m^2]; None: pressures and wear are not to be had.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
         outputs: Name -> ``(n,)`` row of a quantity to follow, ``row @ x``.
 
@@ -109,10 +109,11 @@ class ReducedModel:
                 f"tangential has {pairs} rows for {pairs // 2} areas: without normal rows each is a pair of its own; "
                 f"for two tangents a pair give normal as well, ({pairs // 2}, {n}) zeros where nothing moves so"
             )
-        freeze("pair_area", np.ones(pairs) if self.pair_area is None else _vector("pair_area", self.pair_area, pairs))
-        if not np.all(self.pair_area > 0):
-            k = int(np.argmin(self.pair_area))
-            raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
+        if self.pair_area is not None:
+            freeze("pair_area", _vector("pair_area", self.pair_area, pairs))
+            if not np.all(self.pair_area > 0):
+                k = int(np.argmin(self.pair_area))
+                raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
         freeze("load", check_loads(self.load, n))
         outputs = _mapping("outputs", self.outputs, '{"tip": row}')
         freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()})
@@ -135,7 +136,7 @@ class ReducedModel:
     @property
     def pairs(self) -> int:
         """Number of contact pairs ``K_c``."""
-        return self.pair_area.shape[0]
+        return (self.tangential if self.normal is None else self.normal).shape[0]
 
     @property
     def tangents(self) -> int:
@@ -163,6 +164,19 @@ class ReducedModel:
         if direction == "second_tangential" and self.tangents == 2:
             return self.tangential[1::2]
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
+
+    def require_areas(self) -> RealArray:
+        """``pair_area``, ``(K_c,)`` [m^2], for what makes no sense without.
+
+        Raises:
+            ModelError: It was not given.
+        """
+        if self.pair_area is None:
+            raise ModelError(
+                "pair_area was not given: pressures, and so depths, need the area of each pair [m^2]; give "
+                "ReducedModel(..., pair_area=...)"
+            )
+        return self.pair_area
 
     def save(self, path: str | Path) -> None:
         """Write the model to an HDF5 file, replacing it, in a folder that is made where there is none.

@@ -75,7 +75,7 @@ class WearHistory:
     @property
     def volume(self) -> RealArray:
         """``(steps, K_c)`` worn volume of each pair, depth by tributary area [m^3]."""
-        return self.depth * self.problem.model.pair_area
+        return self.depth * self.problem.model.require_areas()
 
     @property
     def total_volume(self) -> RealArray:
@@ -119,7 +119,7 @@ class WearHistory:
         columns = {
             "cycles": self.cycles,
             "deepest [m]": self.depth.max(axis=1),
-            "mean depth [m]": self.total_volume / self.problem.model.pair_area.sum(),
+            "mean depth [m]": self.total_volume / self.problem.model.require_areas().sum(),
             "volume [m^3]": self.total_volume,
         }
         figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]
@@ -171,7 +171,8 @@ def evolve_wear(
         Cycles, worn depths and solutions at the steps that are kept.
 
     Raises:
-        ModelError: No pair can wear, or a number makes no sense; or more modes in a run that is to be resumed.
+        ModelError: No pair can wear, or the model has no ``pair_area``; or a number makes no sense; or more modes in a
+            run that is to be resumed.
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
@@ -227,7 +228,8 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
     """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow.
 
     Raises:
-        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
+        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear; or the model has
+            no ``pair_area``.
     """
     model = problem.model
     rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
@@ -242,6 +244,7 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
         raise ModelError(
             'no pair can wear: it takes pairs that may part (normal = "unilateral") and a positive wear coefficient'
         )
+    model.require_areas()
     if model.tangents == 0:
         raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
     return rates

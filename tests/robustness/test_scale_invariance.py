@@ -35,7 +35,7 @@ def change_units(problem: ContactProblem, length: float, mass: float, time: floa
         damping=model.damping * (mass / time),
         stiffness=model.stiffness * (mass / time**2),
         load=loads(model.load),
-        pair_area=model.pair_area * length**2,
+        pair_area=scaled(model.pair_area, length**2),
     )
     return replace(
         problem,

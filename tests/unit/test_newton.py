@@ -275,7 +275,7 @@ def in_millimetres_and_tonnes(model: ReducedModel) -> ReducedModel:
         mass=model.mass / 1e3,
         damping=model.damping / 1e3,
         stiffness=model.stiffness / 1e3,
-        pair_area=model.pair_area * 1e6,
+        pair_area=None if model.pair_area is None else model.pair_area * 1e6,
     )
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, cycle_jumps, evolve_wear, wear
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, cycle_jumps, evolve_wear, solve, wear
+from ewr_fenicsx.archard import find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.errors import ModelError, OutputError
 
 WEAR = 1e-10
@@ -26,6 +27,22 @@ def test_a_joint_that_cannot_wear_is_refused():
         evolve_wear(bonded, 5)
     with pytest.raises(ModelError, match="one for each of 6 pairs"):
         evolve_wear(pose(), 5, -1.0)
+
+
+def test_wear_needs_the_areas_of_pairs(monkeypatch):
+    """With areas of one in their place depths were off by four orders of magnitude, without a word."""
+    told = r"pair_area was not given: pressures, and so depths, need the area of each pair \[m\^2\]"
+    without = replace(pose(), model=replace(dovetail(excitation=200.0), pair_area=None))
+    solution, one = solve(without), np.full(6, WEAR)
+    monkeypatch.setattr(cycle_jumps, "solve", lambda *_, **__: pytest.fail("solved"))
+    asked = (
+        lambda: evolve_wear(without, 5, WEAR),
+        lambda: measure_wear_rate(solution, one),
+        lambda: find_wear_stiffness(solution, one),
+    )
+    for ask in asked:
+        with pytest.raises(ModelError, match=told):
+            ask()
 
 
 def test_the_mean_depth_is_the_volume_over_the_area():

@@ -67,7 +67,8 @@ def step_sled(model: ReducedModel, limit: float, frequency: float, steps: int, p
 def test_under_a_rotating_load_it_is_a_circle(frequency):
     """Friction of constant size F against the speed, in every figure and history."""
     P, F, c, w = 1.0, 0.4, 0.1, 2 * np.pi * frequency
-    solution = solve(ContactProblem(sled_in_a_plane({1: [P, -1j * P]}, c), limited(F), frequency, 3), tolerance=1e-11)
+    sled = replace(sled_in_a_plane({1: [P, -1j * P]}, c), pair_area=[1.0])
+    solution = solve(ContactProblem(sled, limited(F), frequency, 3), tolerance=1e-11)
     x, y = (solution.output(name)[1] for name in ("x", "y"))
     r = abs(x)
     assert ((1 - w**2) * r) ** 2 + (c * w * r + F) ** 2 == pytest.approx(P**2, rel=1e-9)
