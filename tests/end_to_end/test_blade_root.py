@@ -196,8 +196,7 @@ def test_contact_fields_agree_with_the_table_of_pairs(run, pairs):
             for x, y in zip(pairs["x [m]"], pairs["y [m]"], strict=True)
         ]
         values[name] = np.array([field.reshape(-1)[nearest] for _, field in steps])
-    state = values["contact_state"].round()
-    np.testing.assert_allclose(values["contact_state"], state, atol=1e-9)
+    state = values["contact_state"]
     # 32 samples integrate harmonics 0 to 5 exactly
     pressure = pairs["normal_force_mean [N]"] / pairs["area [m^2]"]
     np.testing.assert_allclose(values["contact_pressure"].mean(axis=0), pressure, rtol=1e-9)
@@ -214,6 +213,12 @@ def test_contact_fields_agree_with_the_table_of_pairs(run, pairs):
     open_now = state == 0
     assert values["gap"][open_now].max() > 1e-8
     assert np.abs(values["contact_pressure"][open_now]).max() < 0.1 * values["contact_pressure"].max()
+
+
+def test_contact_states_are_whole_numbers(run):
+    """``state == 2`` finds what slips: dolfinx 0.5 would write 1.99999999999996."""
+    _, steps = read_series(run[1] / "contact_state.xdmf")
+    assert set(np.unique([field for _, field in steps])) == {-1.0, 0.0, 1.0, 2.0}
 
 
 @pytest.mark.parametrize("name", ["displacement", "mesh_tags", *CONTACT_FIELDS])
