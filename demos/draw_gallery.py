@@ -22,7 +22,8 @@ from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.contact_state import classify_contact
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.gathering import gather_cells
-from ewr_fenicsx.plots import BODY_COLOURS, FLANK_COLOURS, INK, draw_mesh
+from ewr_fenicsx.mesh_plots import BODY_COLOURS, draw_mesh
+from ewr_fenicsx.plots import FLANK_COLOURS, INK
 from ewr_fenicsx.study import run_study
 
 HERE = Path(__file__).parent

@@ -22,7 +22,7 @@ import dolfinx
 import h5py
 import numpy as np
 
-from ewr_fenicsx import _compat, plots
+from ewr_fenicsx import _compat, mesh_plots, plots
 from ewr_fenicsx.chain import JIT, Chain, add_times
 from ewr_fenicsx.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.gathering import node_interpolation
@@ -84,8 +84,8 @@ def write_results(
     compiled = _compat.measure_compilation()
     with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
         write_fields(draft, chain, solution)
-        plots.draw_mesh(draft / "mesh.png", chain)
-        plots.draw_mode(draft / "full_stick_mode.png", chain)
+        mesh_plots.draw_mesh(draft / "mesh.png", chain)
+        mesh_plots.draw_mode(draft / "full_stick_mode.png", chain)
         if write_more:
             write_more(draft)
         memory = comm.gather(measure_memory(), root=0)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ewr_fenicsx import load_scene, plots
 from ewr_fenicsx.chain import build_chain
 from ewr_fenicsx.errors import SceneWarning
-from ewr_fenicsx.plots import draw_mesh
+from ewr_fenicsx.mesh_plots import draw_mesh
 from ewr_fenicsx.study import run_study
 
 ROOT = Path(__file__).parents[2]
