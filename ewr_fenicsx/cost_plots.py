@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ewr_fenicsx.cost import find_front, fit_slope
+from ewr_fenicsx.plots import save_picture
 
 ROOM = np.array([0.03, 0.025])  # of a label, in parts of the axes
 MARKS = "osD^vP*Xh<>p"
@@ -85,7 +86,7 @@ def draw_work_precision(
     for axes in list(grid.flat)[len(errors) :]:
         axes.set_visible(False)
     figure.suptitle(title)
-    figure.savefig(path, dpi=90)
+    save_picture(figure, path, dpi=90)
 
 
 def _label_points(axes: Axes, points: Sequence[tuple[str, float, float, str]]) -> None:

@@ -20,7 +20,7 @@ from ewr_fenicsx.chain import Chain
 from ewr_fenicsx.gathering import Cells, gather_boundary, gather_cells
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.plots import DPI, FLANK_COLOURS, INK
+from ewr_fenicsx.plots import DPI, FLANK_COLOURS, INK, save_picture
 from ewr_fenicsx.scene import Scene
 
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
@@ -84,7 +84,7 @@ def draw_mesh(path: Path, chain: Chain) -> None:
             ncols=1 if axes is whole and whole.get_gridspec().ncols > 1 else 3,
         )
     figure.suptitle(scene.title or scene.geometry.source.stem)
-    figure.savefig(path, dpi=DPI, bbox_inches="tight", pad_inches=0.1)  # labels hang over the edge of narrow panels
+    save_picture(figure, path, dpi=DPI, bbox_inches="tight", pad_inches=0.1)  # labels hang over narrow panels
 
 
 def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]:
@@ -135,7 +135,7 @@ def draw_mode(path: Path, chain: Chain) -> None:
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
     figure.suptitle(f"full-stick mode 1: {modes.frequency[0]:.1f} Hz")
     figure.colorbar(colours, ax=axes, label="displacement / its largest value", shrink=0.7)
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path, dpi=DPI)
 
 
 def _fill_bodies(axes, cells: Cells, linewidth: float) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from ewr_fenicsx.contact_state import find_pairs_with, list_histories, sample_friction_limit
 from ewr_fenicsx.given import RealArray
@@ -35,6 +36,21 @@ FLANK_COLOURS = (  # enough for fir trees of six lobes
 )
 INK = "#222222"
 EXACT = "exact set"
+
+
+def save_picture(figure: Figure, path: Path, **settings: object) -> None:
+    """Writes a figure that has not been drawn before; a dollar in a title or a name is one, and begins no formula.
+
+    Numbers along axes, which matplotlib itself may write as formulas, get their text only as they are drawn.
+
+    Args:
+        figure: The figure.
+        path: Of the picture.
+        settings: Of ``Figure.savefig``.
+    """
+    for text in figure.findobj(lambda artist: isinstance(artist, Text) and "$" in artist.get_text()):
+        text.set_parse_math(False)
+    figure.savefig(path, **settings)
 
 
 def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
@@ -76,7 +92,7 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
         axes.set(xlabel="time / period", xlim=(0, 1))
     _place_key(figure, grid)
     figure.suptitle(_caption(solution))
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path, dpi=DPI)
 
 
 def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
@@ -131,7 +147,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     next(axes for axes in grid.flat if axes.lines).legend(loc="upper right", fontsize=8)
     figure.suptitle(_caption(solution))
     _place_key(figure, grid)
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path, dpi=DPI)
 
 
 def draw_curves(
@@ -171,7 +187,7 @@ def draw_curves(
     axes.set_ylim(bottom=0.0)
     if len(series) > 1 or np.any(hollow):
         axes.legend()
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path, dpi=DPI)
 
 
 def _join_alike(series: Mapping[str, RealArray]) -> list[tuple[str, RealArray]]:

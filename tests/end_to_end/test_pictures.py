@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from ewr_fenicsx import load_scene, plots
 from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.cost_plots import draw_work_precision
 from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.mesh_plots import draw_mesh
 from ewr_fenicsx.study import run_study
@@ -46,6 +48,49 @@ def test_nothing_is_printed_over_anything_else(drawn, name):
         legend = axes.get_legend().get_window_extent(renderer)
         assert not any(legend.overlaps(box) for along in numbers for box in along)
         assert not legend.overlaps(axes.xaxis.label.get_window_extent(renderer))
+
+
+@pytest.fixture
+def texts_with_dollars(monkeypatch):
+    """Of each picture that is written, its texts with a dollar, and whether they are read as formulas."""
+    found, write = [], Figure.savefig
+
+    def keep(figure, path, **settings):
+        write(figure, path, **settings)
+        texts = figure.findobj(lambda artist: isinstance(artist, Text) and "$" in artist.get_text())
+        found.append({text.get_text(): text.get_parse_math() for text in texts})
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return found
+
+
+BROKEN = r"price 5$ \frac{x$"  # a formula that matplotlib cannot read; of two dollars it would make an empty one
+
+
+def test_dollars_in_titles_and_names_are_dollars(texts_with_dollars, tmp_path):
+    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = text.replace('"Two blocks under shaker load"', f"'{BROKEN}'").replace("[loads.shake]", f"[loads.'{BROKEN}']")
+    (tmp_path / "scene.toml").write_text(text)
+    scene = load_scene(tmp_path / "scene.toml")
+    assert scene.title == BROKEN and BROKEN in scene.loads
+    draw_mesh(tmp_path / "mesh.png", build_chain(scene))
+    series = {f"rms_{BROKEN} [mm]": np.array([1.0, 2.0])}
+    plots.draw_curves(tmp_path / "one.png", "cycles", np.array([0.0, 1.0]), series)
+    plots.draw_curves(tmp_path / "two.png", "cycles", np.array([0.0, 1.0]), {"rms [mm]": np.array([3.0, 4.0])} | series)
+    mesh, one, two = texts_with_dollars
+    assert set(mesh.values()) == set(one.values()) == set(two.values()) == {False}
+    assert len(mesh) == 2 and len(one) == len(two) == 1
+
+
+def test_dollars_do_not_keep_numbers_along_axes_from_being_formulas(texts_with_dollars, tmp_path):
+    rows = [
+        {"knob": "N", "value": n, "converged": True, "seconds": float(n), "errors": {"output": 10.0**-n}}
+        for n in (1, 2, 5)
+    ]
+    draw_work_precision(tmp_path / "cost.png", rows, {"output": f"of {BROKEN}"}, BROKEN)
+    (found,) = texts_with_dollars
+    plain = {text for text, formula in found.items() if not formula}
+    assert plain == {BROKEN, f"of {BROKEN}"} and r"$\mathdefault{10^{-2}}$" in found
 
 
 def list_arrows(axes) -> list[tuple[np.ndarray, np.ndarray]]:
