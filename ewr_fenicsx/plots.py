@@ -36,6 +36,8 @@ FLANK_COLOURS = (  # enough for fir trees of six lobes
 )
 INK = "#222222"
 EXACT = "exact set"
+PRESSING, RUBBING = "normal force [N]", "friction force / (µ normal force)"
+MISSING = {PRESSING: "another law here", RUBBING: "no Coulomb limit here"}
 
 
 def save_picture(figure: Figure, path: Path, **settings: object) -> None:
@@ -99,7 +101,8 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     """Where pairs stand with respect to the exact sets of Signorini (above) and Coulomb (below), flank by flank.
 
     Friction is in units of its momentary limit ``mu lam_N``, drawn where the limit exceeds a twentieth of its largest
-    value (at lift-off the quotient means nothing), and as far as twice the limit. Flanks without the law stay empty.
+    value (at lift-off the quotient means nothing), and as far as twice the limit. Flanks without the law stay empty,
+    and so do those where it never has a limit above zero.
     """
     rows = {}  # title of the two axes -> what to draw, where it is shown, which pairs have the law, and its exact set
     normal = solution.history("normal_force", SAMPLES)
@@ -107,14 +110,15 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     if np.any(parts):
         gap, most = 1e6 * solution.history("gap", SAMPLES), 1.1 * normal[:, parts].max()
         corner = [(0, most), (0, 0), (1.1 * max(gap[:, parts].max(), LEAST["gap"]), 0)]
-        rows["gap [µm]", "normal force [N]"] = gap, normal, np.full(normal.shape, True), parts, corner
+        rows["gap [µm]", PRESSING] = gap, normal, np.full(normal.shape, True), parts, corner
+    limit = sample_friction_limit(solution, SAMPLES)
+    rubs &= np.any(limit > 0, axis=0)  # laws of one's own may rub, and not by a multiple of the normal force
     if np.any(rubs):
-        limit = sample_friction_limit(solution, SAMPLES)
         shown = limit > 0.05 * limit.max()
         share = solution.history("friction_force", SAMPLES) / np.where(shown, limit, 1.0)
         velocity = 1e3 * solution.history("slip_velocity", SAMPLES)
         far = 1.1 * max(np.abs(velocity[:, rubs]).max(), LEAST["slip_velocity"])
-        rows["slip velocity [mm/s]", "friction force / (µ normal force)"] = (
+        rows["slip velocity [mm/s]", RUBBING] = (
             velocity,
             share,
             shown,
@@ -131,7 +135,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
         for k, axes in enumerate(line):
             axes.set_xlabel(across)
             if not np.any(knows[interface.flank_of_pair == k]):
-                axes.text(0.5, 0.5, "another law here", transform=axes.transAxes, ha="center", fontsize=8, color=INK)
+                axes.text(0.5, 0.5, MISSING[along], transform=axes.transAxes, ha="center", fontsize=8, color=INK)
                 continue
             axes.plot(*np.transpose(exact), color=FLANK_COLOURS[0], linewidth=4.0, alpha=0.3, zorder=0.5, label=EXACT)
             for place, pair in _along(interface, k, knows):
@@ -140,7 +144,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
                     x[here, pair], y[here, pair], ".", color=_COLOURS.to_rgba(place), markersize=2.5, rasterized=True
                 )
         line[0].locator_params(axis="x", nbins=4)  # for all of the row; more would overlap where extents are tiny
-        if "friction" in along:
+        if along == RUBBING:
             line[0].set_ylim(-2, 2)
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
         axes.set_title(flank.replace("_", " "))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib.text import Text
 
 from ewr_fenicsx import load_scene, plots
 from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.contact_state import SLIP, classify_contact
 from ewr_fenicsx.cost_plots import draw_work_precision
 from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.mesh_plots import draw_mesh
@@ -151,6 +153,23 @@ def test_flanks_are_not_held_against_laws_that_they_do_not_have(tmp_path, monkey
     np.testing.assert_array_equal([[not axes.lines for axes in row] for row in sets], empty)
     assert solution.history("gap")[:, interface.flank_of_pair == given].min() < -1e-6
     assert sets[0, 0].get_xlim()[0] > -1.0 and histories[2, 0].get_ylim()[0] > -1.0, "in micrometres"
+
+
+@pytest.mark.parametrize("scene, panels", [("two_blocks", ["gap [µm]"]), ("friction_damped_beam", [])])
+def test_a_law_of_one_s_own_is_not_held_against_coulomb_s_set(scene, panels, tmp_path, monkeypatch):
+    """It rubs, but by no multiple of the normal force: nothing would be in the panel but the set."""
+    recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1)
+    (tmp_path / "slider.py").write_text(code.replace('"jenkins"', f'"slider_{scene}"'))
+    text = (ROOT / "demos" / f"{scene}.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    own = f'law_files = ["slider.py"]\ntangential = "slider_{scene}"\nparameters = {{ spring = 1e7, limit = 0.1 }}'
+    text = re.sub("(?m)^frequency = .*", "frequency = 215.0", re.sub("(?m)^friction = .*", own, text))
+    (tmp_path / "scene.toml").write_text(text)
+    study, drawn = run_study(build_chain(load_scene(tmp_path / "scene.toml"))), []
+    assert np.any(classify_contact(study.solution, 64) == SLIP)
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: drawn.extend(figure.axes[:-1]))
+    plots.draw_contact_sets(tmp_path / "sets.png", study.chain.interface, study.solution)
+    assert [axes.get_xlabel() for axes in drawn] == panels
 
 
 def test_pictures_of_a_worn_joint_say_so(tmp_path, monkeypatch):
