@@ -5,6 +5,8 @@ The mesh is gathered on rank 0, which draws; the other ranks only take part in t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 
 import dolfinx
@@ -24,6 +26,7 @@ from ewr_fenicsx.plots import DPI, FLANK_COLOURS, INK, save_picture
 from ewr_fenicsx.scene import Scene
 
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
+LONGEST_ARROW, SHORTEST = 0.12, 0.4  # over the mesh's largest extent; of tiny forces, over the longest
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
 
 
@@ -146,17 +149,22 @@ def _fill_bodies(axes, cells: Cells, linewidth: float) -> None:
 
 
 def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cells) -> None:
-    """An arrow a force: from its boundary, or up to it where the force presses on the body."""
-    length = 0.12 * 1e3 * cells.scale
+    """An arrow a force: from its boundary, or up to it where the force presses on the body.
+
+    Of the static forces the largest has the longest arrow, and so has the largest of those that oscillate.
+    """
+    forces = {name: load for name, load in scene.loads.items() if load.kind == "force"}
+    sizes = {name: float(np.hypot(*load.force)) for name, load in forces.items()}
+    colours = _choose_colours({name: load.harmonic > 0 for name, load in forces.items()})
     for name, load in scene.loads.items():
         if load.kind != "force":
             axes.plot([], [], " ", label=f"{name}: {load.speed:g} rpm")
             continue
         start = 1e3 * edge[load.boundary].mean(axis=0)
-        size = float(np.hypot(*load.force))
+        size, colour, pulsating = sizes[name], colours[name], load.harmonic > 0
+        largest = max(sizes[other] for other in forces if (forces[other].harmonic > 0) == pulsating)
+        length = LONGEST_ARROW * 1e3 * cells.scale * (SHORTEST + (1 - SHORTEST) * size / largest)
         step = length * np.array(load.force) / size
-        pulsating = load.harmonic > 0
-        colour = FLANK_COLOURS[0] if pulsating else FLANK_COLOURS[1]
         presses = not pulsating and np.dot(step, _point_inwards(edge[load.boundary], cells)) > 0.5 * length
         tail, head = (start - step, start) if presses else (start - step if pulsating else start, start + step)
         axes.annotate(
@@ -175,6 +183,13 @@ def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cel
         axes.plot(*np.transpose([tail, head + 0.1 * (head - tail)]), alpha=0)  # makes room for the arrow
         time = f" at {_say_frequency(scene, load.harmonic)} Hz" if pulsating else ", static"
         axes.plot([], [], color=colour, linewidth=1.8, label=f"{name}: {size:.4g} N{time}")
+
+
+def _choose_colours(pulsating: Mapping[str, bool]) -> dict[str, str]:
+    """A colour for each force: red for the first that oscillates, blue for the first that is static."""
+    first = [next((name for name, does in pulsating.items() if does == kind), None) for kind in (True, False)]
+    others = [name for name in pulsating if name not in first]
+    return dict(zip(first, FLANK_COLOURS, strict=False)) | dict(zip(others, cycle(FLANK_COLOURS[2:]), strict=False))
 
 
 def _point_inwards(edge: RealArray, cells: Cells) -> RealArray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -24,12 +25,12 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def drawn(monkeypatch, tmp_path):
-    """Draw the mesh of a demo; returns its two panels."""
+    """Draw the mesh of a demo or a scene; returns its two panels."""
 
-    def draw(name: str):
+    def draw(name: str | Path):
         figures = []
         monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
-        draw_mesh(tmp_path / "mesh.png", build_chain(load_scene(ROOT / "demos" / f"{name}.toml")))
+        draw_mesh(tmp_path / "mesh.png", build_chain(load_scene((ROOT / "demos" / name).with_suffix(".toml"))))
         FigureCanvasAgg(figures[0]).draw()
         return figures[0].axes
 
@@ -112,6 +113,23 @@ def test_forces_that_press_end_on_the_body(drawn):
 def test_forces_that_pull_begin_on_the_body(drawn):
     (tail, head), *_ = list_arrows(drawn("blade_root")[0])
     assert head[1] > tail[1] + 10 and tail[1] > 270, "upwards from the tip"
+
+
+def test_forces_are_told_apart_by_colour_and_length(drawn, tmp_path):
+    """A push and two shakers, of 250 N and of a tenth of that."""
+    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text += '[loads.hum]\nboundary = "top"\nforce = [15.0, 20.0]\nharmonic = 2\n'
+    (tmp_path / "scene.toml").write_text(text)
+    axes = drawn(tmp_path / "scene.toml")[0]
+    push, shake, hum = list_arrows(axes)
+    long, short = (np.linalg.norm(head - tail) for tail, head in (shake, hum))
+    assert np.linalg.norm(push[1] - push[0]) == pytest.approx(long / 2), "one way, and there and back"
+    assert short / long == pytest.approx(0.4 + 0.6 * 0.1)
+    colours = [to_hex(text.arrow_patch.get_edgecolor()) for text in axes.texts if text.arrow_patch]
+    legend = axes.get_legend()
+    entries = zip(legend.get_texts(), legend.get_lines(), strict=True)
+    told = {text.get_text().split(":")[0]: line.get_color() for text, line in entries}
+    assert len(set(colours)) == 3 and colours == [told[name] for name in ("press", "shake", "hum")]
 
 
 def test_a_mesh_that_is_drawn_closed_says_so_where_the_scene_has_a_gap(drawn):
