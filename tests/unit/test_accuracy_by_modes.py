@@ -110,6 +110,16 @@ def test_a_third_of_the_modes_are_looked_at():
     assert estimate_modes(solution, range(6, 12)) == pytest.approx(true[1], rel=0.2)
 
 
+def test_modes_are_looked_at_under_the_loads_of_the_problem():
+    """Loads given beside the model, in all its coordinates, count as if they were its own."""
+    model = structure_with_modes(0.5, 1.0)
+    load = {0: model.load[0], 1: model.load[1] * np.linspace(1.0, 3.0, 8)}
+    own = ContactProblem(replace(model, load=load), ContactLaws(friction=0.2), 0.05, 5)
+    beside = ContactProblem(model, ContactLaws(friction=0.2), 0.05, 5, load=load)
+    found, expected = (estimate_modes(solve(problem, tolerance=1e-11), [6, 7]) for problem in (beside, own))
+    assert found == pytest.approx(expected, rel=1e-6) and 3e-4 < expected < 1.0
+
+
 def test_modes_that_are_too_few_are_the_limit():
     """The lift-off oscillator's first mass as if it were a modal coordinate: without it all is different."""
     found = solve_to_accuracy(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.contact_state import SLIP, classify_contact
 from ewr_fenicsx.errors import ModelError
 
@@ -65,6 +65,46 @@ def test_a_static_state_needs_neither_a_frequency_nor_a_word_on_harmonics(laws):
     shaken = {0: model.load[0], 1: model.load[0]}
     with pytest.raises(ModelError, match=r"loaded at harmonics \[1\].*give a positive frequency or remove the load"):
         ContactProblem(model, laws, frequency=0.0, load=shaken)
+
+
+@pytest.fixture(scope="module")
+def partly_bonded():
+    """Three pairs, of which the first rub and the last is bonded, under loads that press and shake; damping couples."""
+    model, root = random_structure(size=12, pairs=3, seed=5), np.random.default_rng(6).normal(size=(12, 12))
+    load = {0: -5.0 * model.normal.sum(axis=0), 1: 3.0 * np.arange(12) - 10.0j}
+    groups = [([0, 1], ContactLaws(friction=0.3)), ([2], ContactLaws("bonded", "bonded"))]
+    return ContactProblem(replace(model, load=load, damping=0.02 * root @ root.T), groups, 0.15, 5)
+
+
+def test_bonds_carry_what_the_other_pairs_leave_over(partly_bonded):
+    """All pair forces, those of pairs that rub included, meet the equation of motion at every harmonic."""
+    solution, model = solve(partly_bonded, tolerance=1e-11), partly_bonded.model
+    forces = solution.pair_forces
+    rubbing, bonded = (np.abs(forces["tangential"][1, pairs]).max() for pairs in ([0, 1], [2]))
+    assert rubbing > 0.1 and bonded > 0.1 and np.abs(forces["normal"][1, :2]).max() > 0.1, "or the test is void"
+    for j, h in enumerate(solution.orders):
+        w, x = h * partly_bonded.omega, solution.coordinates[j]
+        inner = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x)
+        outer = model.load.get(h, 0) + sum(model.rows(d).T @ forces[d][j] for d in ("normal", "tangential"))
+        np.testing.assert_allclose(inner, outer, atol=1e-9 * np.abs(inner).max(), err_msg=f"harmonic {h}")
+
+
+def test_bonds_carry_what_the_other_pairs_leave_over_in_time(partly_bonded):
+    """The same at every step, by the midpoint rule; and with damping that couples the modes all works balance."""
+    steady, model, steps = integrate(partly_bonded, "rest", steps=400, periods=30), partly_bonded.model, 400
+    forces = steady._pair_forces()
+    assert all(np.ptp(forces[d][:, pairs], axis=0).min() > 0.1 for d in forces for pairs in ([0, 1], [2]))
+    x, v = (values @ steady.scheme.expansion.T for values in (steady.last.positions, steady.last.velocities))
+    middle = lambda values: (values[:-1] + values[1:]) / 2  # noqa: E731
+    gained = np.diff(v, axis=0) * steps * partly_bonded.frequency
+    inner = gained @ model.mass + middle(v) @ model.damping + middle(x) @ model.stiffness
+    tau = 2 * np.pi * np.arange(steps + 1) / steps
+    load = middle(model.load[0].real + np.real(np.outer(np.exp(1j * tau), model.load[1])))
+    outer = load + forces["normal"] @ model.normal + forces["tangential"] @ model.tangential
+    np.testing.assert_allclose(inner, outer, atol=1e-9 * np.abs(inner).max())
+    work = steady.measure_energy()
+    spent = sum(work[name] for name in ("stored", "viscous", "friction", "impact"))
+    assert work["excitation"] == pytest.approx(spent, rel=1e-9) and work["viscous"] > 0.01 * work["excitation"]
 
 
 def test_forces_in_bonds_of_bodies_in_space():

@@ -5,6 +5,8 @@ With a mean pressure ``p`` given by the load, a pair that alone wears hands its 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_models import winkler_punch
@@ -32,6 +34,15 @@ def test_a_pair_beside_others_that_do_not_wear_hands_its_load_to_them_and_wears_
     worn = evolve_wear(punch(), 50, one, Tolerance(share=0.01)).depth[-1]
     assert worn[4] == pytest.approx(1.25 * LOAD / (PAIRS * AREA * STIFFNESS), rel=0.02)
     np.testing.assert_array_equal(worn[:4], 0.0)
+
+
+def test_pressures_are_over_the_area_of_each_pair():
+    """A pair of a small area wears faster, and what it wears relieves it by as much more."""
+    areas = AREA * np.array([0.5, 1.0, 1.0, 2.0, 3.0])
+    problem = replace(punch(), model=replace(punch().model, pair_area=areas))
+    decay = find_wear_stiffness(solve(problem), np.full(PAIRS, STEEP))
+    shared = np.eye(PAIRS) - 1 / PAIRS  # of equal springs under one punch
+    np.testing.assert_allclose(decay, DECAY * (AREA / areas)[:, None] * shared, atol=SHARP * DECAY)
 
 
 @pytest.mark.parametrize("jump", [None, Tolerance(share=0.01)])
