@@ -11,6 +11,7 @@ import math
 import tomllib
 import warnings
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -46,6 +47,7 @@ from ewr_fenicsx.scene_structure import (
 )
 
 MOST_SAMPLES = 65536  # beyond it a solve would take more memory than there is
+MOST_POINTS = 100_000  # of a sweep; beyond it the list alone would be long to make, and the solves take weeks
 
 
 class FrequencyRange(Section):
@@ -53,7 +55,7 @@ class FrequencyRange(Section):
 
     from_: Positive = entry(..., "Hz", "Where the sweep begins.", alias="from")
     to: Positive = entry(..., "Hz", "Where it ends.")
-    points: Integer = entry(..., "-", "Number of frequencies.", ge=2)
+    points: Integer = entry(..., "-", "Number of frequencies.", ge=2, le=MOST_POINTS)
 
     @model_validator(mode="after")
     def check_extent(self) -> FrequencyRange:
@@ -64,6 +66,12 @@ class FrequencyRange(Section):
         if self.from_ > self.to:
             raise PydanticCustomError("range", "from should be below to; curves are followed past folds either way")
         return self
+
+
+@lru_cache(maxsize=16)  # a scene asks for its frequencies many times
+def _spread(begin: float, end: float, points: int) -> tuple[float, ...]:
+    step = (end - begin) / (points - 1)
+    return (*(begin + k * step for k in range(points - 1)), end)
 
 
 def _tell_frequency_form(asked: Any) -> str:
@@ -224,8 +232,7 @@ class Scene(Section):
         if asked is None or isinstance(asked, tuple):
             return asked or ()
         if isinstance(asked, FrequencyRange):
-            step = (asked.to - asked.from_) / (asked.points - 1)
-            return (*(asked.from_ + k * step for k in range(asked.points - 1)), asked.to)
+            return _spread(asked.from_, asked.to, asked.points)
         return (asked,)
 
     def laws_on(self, flank: str) -> Contact:

@@ -130,6 +130,10 @@ def test_a_static_scene_needs_no_frequency(read):
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 950, points = 1 }",
             "excitation.frequency.points = 1: should be greater than or equal to 2",
         ),
+        (  # a thousand million of them took all memory
+            HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 950, points = 100001 }",
+            "excitation.frequency.points = 100001: should be less than or equal to 100000",
+        ),
         *(
             (
                 HEAD + PULL + SHAKE + f"[excitation]\nfrequency = {wrong}",
