@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from ewr_fenicsx.chain import Chain
     from ewr_fenicsx.contact_problem import ContactProblem
+    from ewr_fenicsx.cost_report import CostReport
     from ewr_fenicsx.effects import Effect
     from ewr_fenicsx.interface import Interface
 
@@ -113,15 +114,14 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.chain import Stopwatch, build_chain
     from ewr_fenicsx.output import list_files, write_results
-    from ewr_fenicsx.result_folder import check_target
+    from ewr_fenicsx.result_folder import hold_target
     from ewr_fenicsx.study import can_resume, run_study
     from ewr_fenicsx.work_folder import holds_work, keep_work, name_work_folder
 
-    check_target(folder, overwrite=arguments.overwrite, comm=comm)
-    work = name_work_folder(folder) if can_resume(scene) else None
-    if work and holds_work(work, comm) and comm.rank == 0:
-        print(f"ewr: going on with the work in {work}", file=sys.stderr, flush=True)
-    with keep_work(work, comm), show_progress(comm) as progress:
+    work, overwrite = name_work_folder(folder) if can_resume(scene) else None, arguments.overwrite
+    with hold_target(folder, overwrite=overwrite, comm=comm), keep_work(work, comm), show_progress(comm) as progress:
+        if work and holds_work(work, comm) and comm.rank == 0:
+            print(f"ewr: going on with the work in {work}", file=sys.stderr, flush=True)
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
         with name_place(scene, chain.interface):
@@ -131,7 +131,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
                 folder,
                 study.chain,
                 study.solution,
-                overwrite=arguments.overwrite,
+                overwrite=overwrite,
                 seconds=study.seconds,
                 write_more=study.write,
                 facts=study.facts,
@@ -190,33 +190,38 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.chain import build_chain
     from ewr_fenicsx.cost_report import PICTURE, TABLE, survey_scene
-    from ewr_fenicsx.result_folder import check_target
+    from ewr_fenicsx.result_folder import hold_target
 
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
-    check_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE))
-    with show_progress(comm) as progress:
-        chain = build_chain(scene, comm, progress)
-        tell_doubts(scene, chain.doubts, comm)
-    with name_place(scene, chain.interface):
-        report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
-    if comm.rank == 0:
-        console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        table.add_column("knob", no_wrap=True)
-        for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
-            table.add_column(header, justify="right")
-        for row in report.rows:
-            cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
-            errors = [f"{error:.1e}" for error in row["errors"].values()] if row["converged"] else ["not found"]
-            table.add_row(escape(row["knob"]), *cells, *errors)
-        console.print(
-            "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time\n"
-            'N: highest harmonic; springs: closure = "spring"; by mobility: rho_T as an accuracy chooses it'
-        )
-        console.print(table)
-        print(report.told, flush=True)  # before anything that drawing may stumble over
-        print(*report.write(folder), sep="\n")
+    with hold_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE)):
+        with show_progress(comm) as progress:
+            chain = build_chain(scene, comm, progress)
+            tell_doubts(scene, chain.doubts, comm)
+        with name_place(scene, chain.interface):
+            report = survey_scene(chain, arguments.time_stepping, progress=comm.rank == 0)
+        if comm.rank == 0:
+            print_costs(report)
+            print(report.told, flush=True)  # before anything that drawing may stumble over
+            print(*report.write(folder), sep="\n")
     return 0
+
+
+def print_costs(report: CostReport) -> None:
+    """Table of what each setting costs."""
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("knob", no_wrap=True)
+    for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
+        table.add_column(header, justify="right")
+    for row in report.rows:
+        cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
+        errors = [f"{error:.1e}" for error in row["errors"].values()] if row["converged"] else ["not found"]
+        table.add_row(escape(row["knob"]), *cells, *errors)
+    console.print(
+        "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time\n"
+        'N: highest harmonic; springs: closure = "spring"; by mobility: rho_T as an accuracy chooses it'
+    )
+    console.print(table)
 
 
 def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:

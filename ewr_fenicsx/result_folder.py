@@ -8,12 +8,14 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from errno import EEXIST, ENOTEMPTY
 from pathlib import Path
 from typing import TypeVar
 
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import OutputError, UnwritableFile
+from ewr_fenicsx.folder_lock import free_folder, lock_folder
 from ewr_fenicsx.task_sharing import do_on_rank_zero
 
 SUMMARY = "summary.json"  # its key "files" names all files of the folder
@@ -39,6 +41,28 @@ def check_target(
 
 
 @contextmanager
+def hold_target(
+    folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF, own: Sequence[str] = ()
+) -> Iterator[None]:
+    """Keeps other runs from a result folder, and so from the work on the way to it, while the block runs.
+
+    Args:
+        folder, overwrite, comm, own: As in ``check_target``, which is done before the block.
+
+    Raises:
+        OutputError: On every rank. As ``check_target``; or another run has the folder.
+    """
+    check_target(folder, overwrite=overwrite, comm=comm, own=own)
+    lock = do_with_files(lambda: lock_folder(Path(folder)), comm)
+    try:
+        check_target(folder, overwrite=overwrite, comm=comm, own=own)  # a run may have ended just before
+        yield
+    finally:
+        if comm.rank == 0:
+            free_folder(lock)
+
+
+@contextmanager
 def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_SELF) -> Iterator[Path]:
     """A temporary folder beside ``folder`` that takes its place when the block ends, and vanishes when it fails.
 
@@ -52,7 +76,7 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
         with _name_failure(folder):
             yield draft
         comm.barrier()
-        do_with_files(lambda: _move_into_place(draft, folder), comm)
+        do_with_files(lambda: _move_into_place(draft, folder, overwrite), comm)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
@@ -148,11 +172,14 @@ def _make_draft(folder: Path) -> Path:
     return draft
 
 
-def _move_into_place(draft: Path, folder: Path) -> None:
-    if folder.exists():
+def _move_into_place(draft: Path, folder: Path, overwrite: bool) -> None:
+    try:
+        draft.rename(folder)  # which takes the place of an empty folder, and of nothing else
+    except OSError as error:
+        if error.errno not in (ENOTEMPTY, EEXIST):
+            raise
+        _check_target(folder, overwrite, ())  # it was free to take before: another run has filled it since
         old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
         folder.rename(old / folder.name)
         draft.rename(folder)
         shutil.rmtree(old)
-    else:
-        draft.rename(folder)

@@ -15,6 +15,7 @@ from small_scenes import write_blocks
 
 from ewr_fenicsx import cycle_jumps, frequency_sweep
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.result_folder import hold_target
 
 write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
 STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table
@@ -188,3 +189,30 @@ def test_a_folder_of_the_user_s_own_is_kept(ewr, scene, tmp_path):
     code, told = ewr()
     assert code == 2 and "no run wrote it" in told
     assert (tmp_path / "broken.partial" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_another_run_takes_neither_the_folder_nor_the_work(ewr, scene, tmp_path, monkeypatch, study):
+    """A short run once removed the work of a long one into the same folder, or its results."""
+    asked, (module, name), *_ = STUDIES[study]
+    scene.write_text(asked)
+    work, refused, kept = getattr(module, name), [], []
+
+    def run_another(*given, **named):
+        monkeypatch.setattr(module, name, work)
+        before = sorted(tmp_path.rglob("*"))
+        refused.extend([ewr(), ewr("--overwrite")])
+        kept.append(sorted(tmp_path.rglob("*")) == before)
+        return work(*given, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, run_another)
+        assert ewr()[0] == 0
+    for code, told in refused:
+        assert code == 2
+        assert told.endswith(f"ewr: another run writes to {tmp_path / 'broken'}; wait for it, or give another --out\n")
+        assert "going on" not in told
+    assert len(refused) == 2 and kept == [True]
+    assert {path.name for path in tmp_path.iterdir()} == {"broken", "scene.toml"}
+    with hold_target(tmp_path / "broken_cost"):
+        assert main(["cost", str(scene), "--out", str(tmp_path / "broken_cost")]) == 2

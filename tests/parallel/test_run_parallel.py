@@ -11,6 +11,7 @@ import pytest
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.chain import build_chain
+from ewr_fenicsx.result_folder import hold_target
 from ewr_fenicsx.study import run_study
 
 ROOT = Path(__file__).parents[2]
@@ -125,6 +126,15 @@ def test_taken_folder_is_kept_by_all_ranks(mpirun, tmp_path):
     assert done.stderr.count("--overwrite") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
     assert (tmp_path / "results" / "notes.txt").read_text() == "mine"
+
+
+def test_a_folder_that_another_run_writes_to_is_refused_by_all_ranks(mpirun, tmp_path):
+    with hold_target(tmp_path / "results"):
+        done = mpirun(2, "ewr", "run", SCENE, "--out", "results", timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.count("ewr: another run writes to results; wait for it, or give another --out") == 1
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import subprocess
+import sys
 
 import pytest
 
 from ewr_fenicsx.errors import OutputError
-from ewr_fenicsx.result_folder import check_target, result_folder
+from ewr_fenicsx.result_folder import check_target, hold_target, result_folder
 
 
 def write_run(folder, value: str, **options) -> None:
@@ -85,3 +88,77 @@ def test_a_link_that_leads_nowhere_is_refused_before_any_work(tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(OutputError, match=r"loop is a file; give another --out"):
         check_target(tmp_path / "loop")
+
+
+def test_what_another_run_wrote_in_the_meantime_is_kept(tmp_path):
+    """By a script, or where the file system knows no locks."""
+    with (
+        pytest.raises(OutputError, match=r"results exists and is kept; give --overwrite"),
+        result_folder(tmp_path / "results") as draft,
+    ):
+        (draft / "value.txt").write_text("late")
+        write_run(tmp_path / "results", "early")
+    assert (tmp_path / "results" / "value.txt").read_text() == "early"
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_one_run_at_a_time_has_a_folder_by_whatever_name(tmp_path):
+    results, link = tmp_path / "deep" / "results", tmp_path / "link"
+    link.symlink_to(results)
+    with hold_target(results):
+        for name in (results, link):
+            with pytest.raises(OutputError, match=rf"another run writes to {name}; wait for it, or give another --out"):
+                hold_target(name, overwrite=True).__enter__()
+        with hold_target(tmp_path / "deep" / "others"):
+            write_run(results, "1")
+    assert [path.name for path in results.parent.iterdir()] == ["results"]
+    with pytest.raises(OutputError, match=r"exists and is kept"):
+        hold_target(results).__enter__()
+    with hold_target(results, overwrite=True):
+        write_run(results, "2", overwrite=True)
+    assert [path.name for path in results.parent.iterdir()] == ["results"]
+
+
+def test_a_run_that_failed_leaves_nothing_beside_its_folder(tmp_path):
+    with pytest.raises(ZeroDivisionError), hold_target(tmp_path / "deep" / "er" / "results"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_killed_keeps_nobody_out(tmp_path):
+    script = (
+        "import os, sys\nfrom pathlib import Path\nfrom ewr_fenicsx.result_folder import hold_target\n"
+        "with hold_target(Path(sys.argv[1])):\n    os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, tmp_path / "results"], check=False, timeout=120)
+    assert done.returncode == -9
+    assert [path.name for path in tmp_path.iterdir()] == [".results.lock"]
+    with hold_target(tmp_path / "results"):
+        write_run(tmp_path / "results", "1")
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_a_lock_file_that_its_run_removed_in_the_meantime_is_none(tmp_path, monkeypatch):
+    """Between opening the file and locking it: a third run would then find another file of that name, and lock that."""
+    first, lock = hold_target(tmp_path / "results"), fcntl.flock
+    first.__enter__()
+
+    def end_first(handle, how):
+        monkeypatch.setattr(fcntl, "flock", lock)
+        first.__exit__(None, None, None)
+        lock(handle, how)
+
+    monkeypatch.setattr(fcntl, "flock", end_first)
+    with hold_target(tmp_path / "results"), pytest.raises(OutputError, match="another run writes to"):
+        hold_target(tmp_path / "results").__enter__()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_system_without_locks_will_do(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with hold_target(tmp_path / "results"):
+        write_run(tmp_path / "results", "1")
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
