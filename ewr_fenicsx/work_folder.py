@@ -2,6 +2,8 @@
 
 What is kept there belongs to one reduced model, whose rounding is not the same from run to run where ranks share the
 mesh. So the model is kept as well, and the work goes on with it where the scene gives the same one but for rounding.
+Another number of ranks cuts the mesh elsewhere, and may give modes of other signs, in which fields would be wrong: that
+number is kept to be told.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from ewr_fenicsx.reduced_model import ARRAYS, ReducedModel, read_reduced_model
 from ewr_fenicsx.result_folder import do_with_files
 
 MODEL = "reduced_model.h5"  # marks the folder as one of these
+RANKS = "ranks.txt"  # how many the work was begun on
 ROUNDING = 1e-8  # largest difference of a matrix that is the same, over its largest entry
 
 
@@ -43,10 +46,10 @@ def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm, own: str) -
         own: Pattern of the files, below the folder, from which this kind of study goes on.
 
     Raises:
-        OutputError: On every rank. The folder holds another scene's work, or files that no run wrote; or it cannot be
-            made.
+        OutputError: On every rank. The folder holds another scene's work, that of another number of ranks, or files
+            that no run wrote; or it cannot be made.
     """
-    begun = do_with_files(lambda: _take_up(folder, model, own), comm)
+    begun = do_with_files(lambda: _take_up(folder, model, own, comm.size), comm)
     return model if begun is None else begun
 
 
@@ -94,24 +97,39 @@ def _remove(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _take_up(folder: Path, model: ReducedModel, own: str) -> ReducedModel | None:
+def _take_up(folder: Path, model: ReducedModel, own: str, ranks: int) -> ReducedModel | None:
     if not (folder / MODEL).is_file():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise OutputError(f"{folder} is where work in progress goes, and no run wrote it; {_say_remedy(folder)}")
         folder.mkdir(parents=True, exist_ok=True)
         model.save(folder / MODEL)
+        (folder / RANKS).write_text(f"{ranks}\n", encoding="utf-8")
         return None
     try:
         begun = read_reduced_model(folder / MODEL)
     except (OSError, KeyError, ModelError) as error:
         raise OutputError(f"{folder / MODEL} cannot be read: {error}. {_say_remedy(folder)}") from None
     if not _is_same(model, begun):
-        raise OutputError(f"{folder} holds interrupted work of another model, or by another number of ranks. "
-                          f"{_say_remedy(folder)}")  # fmt: skip
+        raise OutputError(_tell_difference(folder, ranks))
     if _holds_work(folder) and not any(folder.glob(own)):  # at its end, this study would remove it
         raise OutputError(f"{folder} holds interrupted work of another kind of study. {_say_remedy(folder)}")
     order = {"load": {h: begun.load[h] for h in model.load}, "outputs": {n: begun.outputs[n] for n in model.outputs}}
     return replace(model, **{name: getattr(begun, name) for name in ARRAYS}, **order)
+
+
+def _tell_difference(folder: Path, ranks: int) -> str:
+    """Why work was begun with another model: by another number of ranks, as far as can be seen, or of another scene."""
+    try:
+        begun = int((folder / RANKS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # its run was killed before it wrote this
+        begun = ranks
+    if begun == ranks:
+        return f"{folder} holds interrupted work of another model. {_say_remedy(folder)}"
+    counted = [f"{number} rank{'s' if number > 1 else ''}" for number in (begun, ranks)]
+    return (
+        f"{folder} holds work begun on {counted[0]}, and this run has {counted[1]}: go on with `mpirun -n {begun}`, or "
+        "remove the folder to begin anew"
+    )
 
 
 def _is_same(model: ReducedModel, begun: ReducedModel) -> bool:

@@ -104,6 +104,27 @@ def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, stu
     assert partial.is_dir() and not (tmp_path / "broken").exists()
 
 
+def test_work_begun_on_more_ranks_says_how_to_go_on(ewr, scene, tmp_path, monkeypatch):
+    """Where they cut the mesh otherwise, their model is not quite this one (tests/parallel has them do so)."""
+    asked, place, unbroken, _ = STUDIES["sweep"]
+    scene.write_text(asked)
+    with monkeypatch.context() as patch:
+        interrupt(patch, place, unbroken // 2)
+        assert ewr()[0] == 130
+    partial = tmp_path / "broken.partial"
+    assert (partial / "ranks.txt").read_text() == "1\n"
+    (partial / "ranks.txt").write_text("3\n")
+    scene.write_text(asked.replace("-1000.0", "-1001.0"))
+    code, told = ewr()
+    assert code == 2 and "Traceback" not in told
+    assert (
+        f"{partial} holds work begun on 3 ranks, and this run has 1 rank: go on with `mpirun -n 3`, or remove" in told
+    )
+    scene.write_text(asked)
+    assert ewr()[0] == 0, "the same model but for rounding: as good on any number"
+    assert not partial.exists()
+
+
 @pytest.mark.parametrize("study, other", [("wear", "sweep"), ("sweep", "wear")])
 def test_work_of_another_kind_of_study_is_refused(ewr, scene, tmp_path, monkeypatch, study, other):
     """On the same model, which fits: that study would begin anew, and at its end remove what it did not use."""
