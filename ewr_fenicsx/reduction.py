@@ -28,6 +28,7 @@ from ewr_fenicsx.elasticity import Structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.modes import Modes, find_floating_parts, full_stick_modes, solve_modes
+from ewr_fenicsx.orientation import group_equal, orient_modes
 from ewr_fenicsx.reduced_model import ReducedModel
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
@@ -116,7 +117,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     responses = solve(stack_columns(forces, len(interior.dofs)))
     constraint = (solve(-coupling[:, block].toarray(order="F")) for block in blocks(len(contact)))
     shapes = stack_columns([vector.array for vector in found.vectors], len(interior.dofs))
-    basis = _compose_basis(structure, interior, contact, constraint, shapes, responses)
+    basis = _compose_basis(structure, interior, contact, constraint, shapes, responses, group_equal(found.frequency))
     del solve, constraint
     _compat.free_matrices(structure.mass.comm)  # the factors among them
     model = _project(structure, interface, basis, contact)
@@ -154,7 +155,8 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
     rising = np.argsort(frequencies, kind="stable")
     shapes = stack_columns([*shapes.T, *(vector.array for vector in found.vectors)], len(here))[:, rising]
     # what the load responses had outside the modes there were is all that can lie outside more of them
-    basis = _compose_basis(structure, interior, contact, constraint, shapes, loads)
+    equal = group_equal(frequencies[rising], known=rising < len(known))  # those that there were stay as they are
+    basis = _compose_basis(structure, interior, contact, constraint, shapes, loads, equal)
     model = _project(structure, reduction.interface, basis, contact)
     del interior, vectors
     _compat.free_matrices(structure.mass.comm)
@@ -207,6 +209,7 @@ def _compose_basis(
     constraint: Iterable[np.ndarray],
     shapes: np.ndarray,
     responses: np.ndarray,
+    equal: list[np.ndarray],
 ) -> np.ndarray:
     """Columns of the basis: constraint modes, fixed-interface modes, and what load responses have outside of these.
 
@@ -217,6 +220,7 @@ def _compose_basis(
         constraint: Constraint modes in the interior, some columns at a time, so that they are in memory but once.
         shapes: Fixed-interface modes ``(rows, m)``, mass-orthonormal.
         responses: To loads, ``(rows, l)``.
+        equal: Groups of modes that share a frequency and may be mixed.
     """
     first, last = structure.mass.getOwnershipRange()
     rest = _residual_vectors(responses, shapes, interior.mass)
@@ -227,7 +231,7 @@ def _compose_basis(
     for k, dof in enumerate(contact):
         if first <= dof < last:
             basis[dof - first, k] = 1.0
-    _fix_signs(basis, len(contact), structure.mass)
+    orient_modes(basis, len(contact), equal, structure.mass)
     return basis
 
 
@@ -260,15 +264,6 @@ def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat
         if norm > _NEGLIGIBLE * size:
             basis = np.column_stack([basis, rest / norm])
     return basis[:, shapes.shape[1] :]
-
-
-def _fix_signs(basis: np.ndarray, contacts: int, mass: PETSc.Mat) -> None:
-    """Turns each mode so that its inertial coupling with the contact nodes has one sign, whatever the numbering."""
-    comm = mass.comm.tompi4py()
-    # weights that no symmetry of a geometry makes cancel
-    pattern = basis[:, :contacts] @ np.cos(np.arange(1, contacts + 1))
-    coupling = comm.allreduce(basis[:, contacts:].T @ multiply(mass, pattern[:, None])[:, 0])
-    basis[:, contacts:] *= np.where(coupling < 0, -1.0, 1.0)
 
 
 def _project(structure: Structure, interface: Interface, basis: np.ndarray, contact: np.ndarray) -> ReducedModel:

@@ -2,8 +2,8 @@
 
 What is kept there belongs to one reduced model, whose rounding is not the same from run to run where ranks share the
 mesh. So the model is kept as well, and the work goes on with it where the scene gives the same one but for rounding.
-Another number of ranks cuts the mesh elsewhere, and may give modes of other signs, in which fields would be wrong: that
-number is kept to be told.
+Another number of ranks cuts the mesh elsewhere, and now and then comes to other modes, in which fields would be wrong:
+that number is kept to be told.
 """
 
 from __future__ import annotations
