@@ -114,10 +114,12 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.chain import Stopwatch, build_chain
     from ewr_fenicsx.output import list_files, write_results
+    from ewr_fenicsx.petsc_options import check_options
     from ewr_fenicsx.result_folder import hold_target
     from ewr_fenicsx.study import can_resume, run_study
     from ewr_fenicsx.work_folder import holds_work, keep_work, name_work_folder
 
+    check_options()
     work, overwrite = name_work_folder(folder) if can_resume(scene) else None, arguments.overwrite
     with hold_target(folder, overwrite=overwrite, comm=comm), keep_work(work, comm), show_progress(comm) as progress:
         if work and holds_work(work, comm) and comm.rank == 0:

@@ -60,6 +60,10 @@ class UnwritableFile(OutputError):
     """The system refuses to write a file, as on a full disk."""
 
 
+class OptionError(EwrError):
+    """PETSc refuses an option that it was given."""
+
+
 class NotConverged(EwrError):
     """The contact solve found no periodic solution.
 

@@ -199,6 +199,37 @@ def test_an_option_with_a_dash_too_few_is_not_for_petsc(given, meant, capsys):
     assert f"unknown argument: {given}; was {meant} meant?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ("-ewr_snes_max_it abc", "abc has no integer value"),
+        ("-ewr_snes_max_it 3.5", "3.5 has no integer value"),
+        ("-ewr_snes_monitor -ewr_snes_type foo", "SNES type foo"),
+        ("-ewr_pc_type foo", "PC type foo"),
+        ("-ewr_inexact_ksp_rtol foo", "foo has no numeric value"),
+    ],
+)
+def test_an_option_that_petsc_refuses_is_told_before_the_work(tmp_path, given, why):
+    (tmp_path / "scene.toml").write_text(write_blocks())
+    command = [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml", "--out", "results", *given.split()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        rf"ewr: PETSc refuses an option: .*{re.escape(why)}.*; options given: {given}\n", done.stderr
+    ), done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_options_that_were_only_checked_still_count_as_not_taken(tmp_path):
+    bonded = '[contact]\nnormal = "bonded"\ntangential = "bonded"'
+    (tmp_path / "scene.toml").write_text(write_blocks(bonded))
+    command = [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml", "-ewr_snes_max_it", "30", "-ewr_snes_monitor"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    for name in ("max_it", "monitor"):
+        assert f"nothing took -ewr_snes_{name}: is it spelt so? Linear scenes take none" in done.stderr
+
+
 def test_options_for_petsc_are_left_to_it():
     options = ["-ewr_snes_monitor", "-ewr_snes_max_it", "30", "-options_left", "-log_view"]
     assert parse_arguments(["run", "scene.toml", "--out", "there", *options])[1] == options

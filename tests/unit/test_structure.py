@@ -16,9 +16,9 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "given", "whole_files", "reduced_model", "harmonics", "law_kinds", "smoothing", "cone",
-    "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb", "coulomb",
-    "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "composition",
+    "errors", "_compat", "petsc_options", "given", "whole_files", "reduced_model", "harmonics", "law_kinds",
+    "smoothing", "cone", "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb",
+    "coulomb", "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "composition",
     "contact_problem", "ignored",
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
@@ -29,7 +29,8 @@ ORDER = [
     "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure", "scene_joint",
     "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity", "interface", "modes",
     "columns", "orientation", "reduction", "chain", "gathering", "plots", "mesh_plots", "cost_plots",
-    "folder_lock", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report", "cli", "__main__",
+    "folder_lock", "result_folder", "output", "wear_fields", "work_folder", "findings", "study", "cost_report", "cli",
+    "__main__",
 ]
 # fmt: on
 CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
