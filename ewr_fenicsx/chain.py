@@ -24,7 +24,7 @@ from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.scene_joint import Contact
-from ewr_fenicsx.scene_sense import can_wear, doubt_extent, doubt_frequency, doubt_modes
+from ewr_fenicsx.scene_sense import can_wear, doubt_drag, doubt_extent, doubt_frequency, doubt_modes
 from ewr_fenicsx.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
@@ -126,6 +126,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     modes = reduction.fixed_interface_frequencies
     doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
     doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
+    doubts += tuple(doubt_drag(scene, reduction.rigid_drag))
     return Chain(scene, mesh, structure, interface, reduction, watch.seconds, doubts)
 
 

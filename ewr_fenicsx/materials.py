@@ -89,7 +89,8 @@ class PerMode:
     """The same ``ratio`` of critical damping for each mode of the reduced model with its joint open.
 
     So have, where the joint holds bodies that float without it, as many of the lowest modes of full stick as there are
-    rigid motions. Others have somewhat less while the joint is closed.
+    rigid motions. Others have somewhat less while the joint is closed. What that takes drags the rigid motions as well,
+    where the joint slides far or opens, and gives the open joint's lowest elastic modes up to half as much again.
 
     Raises:
         SceneError: The ratio is not from 0 to below 1.

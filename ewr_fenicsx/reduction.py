@@ -79,6 +79,15 @@ class CraigBampton:
         shape = shapes[:, np.argmin(np.abs(squares - omega**2))]
         return float(shape @ model.damping @ shape / (2 * omega))
 
+    @property
+    def rigid_drag(self) -> float:
+        """Largest rate at which damping slows a rigid motion of a body that only the joint holds [1/s]; 0 without."""
+        rigid = self.model.rigid_modes
+        if not rigid.shape[1]:
+            return 0.0
+        damping, mass = (rigid.T @ matrix @ rigid for matrix in (self.model.damping, self.model.mass))
+        return float(scipy.linalg.eigh(damping, mass, eigvals_only=True)[-1])
+
     def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
         """The displacement field [m] of real reduced coordinates ``(n,)``."""
         field = dolfinx.fem.Function(self.structure.space)
@@ -325,7 +334,8 @@ def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, float
     motions: modes of full stick alone would leave out those that it forbids, and overdamp them where the joint opens.
     A mode of the joint held in any way then has at most this ratio, the root being concave (Jensen). Where the joint
     holds ``floating`` rigid motions, which are not damped, it has far less: what the lowest as many modes of full stick
-    lack is added.
+    lack is added. That drags the rigid motions themselves, against the ground, and the lowest elastic modes of the open
+    joint have somewhat more than the ratio.
 
     Args:
         mass, stiffness: ``(n, n)``.

@@ -23,6 +23,7 @@ THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of
 SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 ROUGHEST = 3.0  # coefficient of friction
 MOST_DAMPED = 0.1  # ratio of critical damping
+DRAG = 0.1  # loss factor of rigid motions of bodies that only the joint holds
 KILOHERTZ = (3e-4, 2e-3)  # between these, over the first stuck mode, a frequency was probably given in kHz
 MILLIMETRES = (100.0, 1e4)  # and a builder's parameter in mm, over its default
 MANY_CYCLES = 100_000  # of which every one is solved
@@ -105,6 +106,17 @@ def doubt_frequency(scene: Scene, stuck: float) -> Iterator[str]:
         yield (
             f"excitation.frequency = {highest:g} Hz is so far below the first full-stick mode ({stuck:.0f} Hz) that "
             f"the motion is as good as static; was {1e3 * highest:g} Hz (given in kHz) meant?"
+        )
+
+
+def doubt_drag(scene: Scene, drag: float) -> Iterator[str]:
+    """What is probably not meant by damping that slows rigid motions at such a rate [1/s], one sentence each."""
+    slowest = 2 * math.pi * min(scene.frequencies, default=0.0)
+    if scene.damping.kind == "modal" and drag > DRAG * slowest > 0:
+        yield (
+            f'damping.kind = "modal" drags a body that only the joint holds: a loss factor of {drag / slowest:.2g} at '
+            f'{slowest / (2 * math.pi):g} Hz where it slides freely or lifts off. If it does, take kind = "rayleigh" '
+            "with alpha = 0, which damps no rigid motion"
         )
 
 

@@ -80,7 +80,9 @@ class ModalDamping(Section):
     """The same ratio of critical damping for every mode of the open joint.
 
     Where the joint holds a body that would otherwise float, the lowest modes of the stuck joint have this ratio too;
-    its other modes have somewhat less. `ewr info` tells the ratio of the first stuck mode.
+    its other modes have somewhat less. `ewr info` tells the ratio of the first stuck mode. What that takes also drags
+    such a body where it slides far or lifts off, and gives the lowest modes of the open joint up to half as much again:
+    take `rayleigh` with `alpha = 0` there.
     """
 
     kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")

@@ -16,7 +16,7 @@ from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene import Scene, load_scene
-from ewr_fenicsx.scene_sense import doubt_frequency, doubt_modes, hint_at_lengths
+from ewr_fenicsx.scene_sense import doubt_drag, doubt_frequency, doubt_modes, hint_at_lengths
 
 ROOT = Path(__file__).parents[2]
 JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
@@ -261,6 +261,14 @@ def test_frequencies_in_kilohertz_are_doubted(read):
     for frequency in ("0.1", "5", "1000"):
         assert not list(doubt_frequency(read(SCENE.replace("1000", frequency)), 1288.0))
     assert not list(doubt_frequency(read(HEAD + PULL), 1288.0)), "nothing oscillates"
+
+
+def test_modal_damping_that_drags_floating_bodies_is_told(read):
+    modal = read(SCENE + "[damping]\nkind = 'modal'\nratio = 0.01\n")
+    (told,) = doubt_drag(modal, 1200.0)
+    assert "a loss factor of 0.19 at 1000 Hz" in told and 'kind = "rayleigh" with alpha = 0' in told
+    assert not list(doubt_drag(modal, 600.0))
+    assert not list(doubt_drag(read(SCENE), 1200.0)), "alpha was asked for"
 
 
 def test_parameters_in_millimetres_are_hinted_at():

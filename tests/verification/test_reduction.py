@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, PerMode, RayleighRatios
+from ewr_fenicsx.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.mesh import build_mesh
 from ewr_fenicsx.reduction import _residual_vectors, keep_more_modes, reduce_structure
 
@@ -284,6 +284,17 @@ def test_damping_ratio_per_mode(clamp, floating):
     for state, ratio in ratios.items():
         assert ratio[:6].min() > 0.005 and ratio.max() < 0.011, (state, ratio)
     assert np.linalg.eigvalsh(model.damping)[0] > -1e-12 * np.abs(model.damping).max()
+
+
+def test_the_drag_of_a_floating_body_is_measured():
+    """Rayleigh's part by mass is just that; a ratio per mode drags the block about as its stuck modes are damped."""
+    plain = reduce_structure(*assemble(TWO_BLOCKS, damping=Rayleigh(7.0, 1e-6)), modes=6)
+    assert plain.rigid_drag == pytest.approx(7.0, rel=1e-6)
+    per_mode = reduce_structure(*assemble(TWO_BLOCKS, damping=PerMode(0.01)), modes=6)
+    highest = 2 * pi * per_mode.full_stick.frequency.max()
+    assert 0.1 * 0.02 * highest < per_mode.rigid_drag < 0.02 * highest
+    held = reduce_structure(*assemble(TWO_BLOCKS, damping=PerMode(0.01), clamp=("clamp", "tip")), modes=6)
+    assert held.rigid_drag == 0.0
 
 
 def test_the_damping_of_the_bonded_joint_is_told():
