@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from ewr_fenicsx.accuracy import AccurateSolution
     from ewr_fenicsx.contact_problem import ContactProblem
     from ewr_fenicsx.estimates import ErrorEstimate
-    from ewr_fenicsx.frequency_sweep import FrequencyResponse
     from ewr_fenicsx.given import RealArray
     from ewr_fenicsx.interface import Interface
+    from ewr_fenicsx.response_curve import FrequencyResponse
     from ewr_fenicsx.solution import PeriodicSolution
     from ewr_fenicsx.wear import WearHistory
 

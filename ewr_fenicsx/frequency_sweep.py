@@ -9,173 +9,33 @@ from the former. So the curve is the one that a single sweep would give, however
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from inspect import signature
-from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.accuracy import AccurateSolution, check_accuracy, read_modes
+from ewr_fenicsx.accuracy import check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.contact_state import list_figures
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.following import Curve, Follower, Jump, agree
-from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, read_numbers
+from ewr_fenicsx.given import is_positive, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import Report, count_progress
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, leave_out_close, refine_points
+from ewr_fenicsx.response_curve import RESULTS, FrequencyResponse, write_curves
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import (
-    Record,
-    fingerprint,
-    gather_figure,
-    gather_output,
-    list_orders,
-    restore,
-    strip,
-    write_records,
-)
+from ewr_fenicsx.solution_store import Record, fingerprint, restore, strip
 from ewr_fenicsx.sweep_store import FORMAT, Block, BlockStore
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
 from ewr_fenicsx.weights import adopt_weights, went_back
-from ewr_fenicsx.whole_files import check_place, replace_file, write_table
+from ewr_fenicsx.whole_files import check_place
 
 BLOCK = 6  # given frequencies a block
-_RESULTS = "frequency_response.h5"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FrequencyResponse:
-    """Periodic solutions along a curve.
-
-    Attributes:
-        solutions: In the order of the curve: where it folds, frequencies run back for a while.
-        jumps: Where the curve is broken because no branch led on; empty as a rule.
-        missing: Given frequencies without a solution [Hz]; empty as a rule.
-        accurate: Where an accuracy was asked for: the solutions with their estimated errors, and how they came about.
-    """
-
-    solutions: tuple[PeriodicSolution, ...]
-    jumps: tuple[Jump, ...]
-    missing: tuple[float, ...]
-    accurate: tuple[AccurateSolution, ...] = ()
-
-    def __repr__(self) -> str:
-        at = self.frequencies
-        span = f" from {at[0]:g} to {at[-1]:g} Hz" if at.size else ""
-        return f"FrequencyResponse({at.size} solutions{span}, {len(self.jumps)} jumps, {len(self.missing)} missing)"
-
-    @cached_property
-    def frequencies(self) -> RealArray:
-        """``(n,)`` [Hz]."""
-        return np.array([s.problem.frequency for s in self.solutions])
-
-    @cached_property
-    def orders(self) -> tuple[int, ...]:
-        """Harmonics that any of the solutions has, ``n_h`` of them."""
-        return list_orders(self.solutions)
-
-    @property
-    def breaks(self) -> tuple[int, ...]:
-        """Solutions after which the curve is broken by a jump, by their number."""
-        found = set()
-        for jump in self.jumps:
-            begin, end = jump.frequency
-            around = [
-                i
-                for i, (here, there) in enumerate(pairwise(self.frequencies))
-                if i not in found and (begin - here) * (end - begin) >= 0 and (there - end) * (end - begin) >= 0
-            ]
-            at = [i for i in around if self.frequencies[i] == begin]  # or that point was only passed, and is not kept
-            found.update((at or around)[:1])
-        return tuple(sorted(found))
-
-    @cached_property
-    def unstable(self) -> np.ndarray:
-        """``(n,)`` solutions that motions in time leave: between two folds, alternating, or in a spiral.
-
-        Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
-        where branches cross (``PeriodicSolution.side``).
-        """
-        return self._find_unstable()
-
-    def look_at_stability(self, comm: MPI.Comm, progress: bool = False) -> None:
-        """Finds ``unstable``, its points shared by all ranks; collective. Else each rank does so when it needs it.
-
-        Args:
-            comm, progress: As in ``frequency_response``.
-        """
-        vars(self)["unstable"] = self._find_unstable(comm, progress)
-
-    def _find_unstable(self, comm: MPI.Comm = MPI.COMM_SELF, progress: bool = False) -> np.ndarray:
-        back = np.diff(self.frequencies) < 0
-        back[list(self.breaks)] = False
-        near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        leaves = lambda s, near: bool(s.alternates or s.multiplier != 0 or (near and s.grows))  # noqa: E731
-        points = list(zip(self.solutions, near, strict=True))
-        with count_progress("stability", len(points), progress and comm.rank == 0) as report:
-            found = share_tasks(points, lambda point: leaves(*point), comm, report)
-            report(len(points))
-        return np.array(found, dtype=bool)
-
-    def output(self, name: str) -> ComplexArray:
-        """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
-
-        Raises:
-            ModelError: The model has no such output.
-        """
-        return gather_output(self.solutions, name, self.orders)
-
-    def figure(self, name: str) -> RealArray:
-        """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
-
-        Raises:
-            ModelError: There is no such figure.
-        """
-        return gather_figure(self.solutions, name)
-
-    def table(self) -> dict[str, RealArray]:
-        """Column -> ``(n,)``: frequency, figures of merit, instability, Newton steps, and every output's harmonics.
-
-        Figures that none of the laws concerns are left out. Harmonic h of an output is
-        ``Re((re + i im) exp(i h omega t))``.
-        """
-        columns = {"frequency [Hz]": self.frequencies}
-        if self.solutions:
-            columns |= {name: self.figure(name) for name in list_figures(self.solutions[0])}
-        columns["unstable"] = self.unstable.astype(int)
-        columns["Newton steps"] = np.array([s.iterations for s in self.solutions])
-        columns["residual"] = np.array([s.residual for s in self.solutions])
-        if self.accurate:
-            columns["estimate"] = np.array([found.estimate.total for found in self.accurate])
-            columns["highest_harmonic"] = np.array([s.orders[-1] for s in self.solutions])
-        for name in self.solutions[0].problem.model.outputs if self.solutions else ():
-            for h, amplitude in zip(self.orders, self.output(name).T, strict=True):
-                columns[f"|{name}| harmonic {h}"] = np.abs(amplitude)
-                columns[f"re {name} harmonic {h}"] = amplitude.real
-                columns[f"im {name} harmonic {h}"] = amplitude.imag
-        return columns
-
-    def write_csv(self, path: str | Path) -> None:
-        """Write ``table`` as CSV, a row a solution."""
-        write_table(path, self.table())
-
-    def write(self, group: h5py.Group) -> None:
-        """Write forces, rigid coordinates, table and breaks to an HDF5 group."""
-        write_records(group, [strip(s) for s in self.solutions])
-        table = group.create_group("table")
-        for name, values in self.table().items():
-            table[name.replace("/", " per ")] = values
-        group["missing"] = np.array(self.missing)
-        group["jumps"] = np.array([jump.frequency for jump in self.jumps]).reshape(-1, 2)
-        group.attrs["jumps"] = [jump.why for jump in self.jumps]
 
 
 def _read_frequencies(given: float | Sequence[float]) -> tuple[float, ...]:
@@ -199,6 +59,7 @@ def frequency_response(
     accuracy: float | None = None,
     modes: Sequence[int] = (),
     folder: str | Path | None = None,
+    work: str | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     **settings: object,
 ) -> FrequencyResponse | dict[object, FrequencyResponse]:
@@ -219,6 +80,7 @@ def frequency_response(
         modes: As in ``solve_to_accuracy``.
         folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as they are finished. A
             run that was interrupted goes on from the blocks that it finds. None: nothing is written.
+        work: Where ``blocks/`` go in place of ``folder``; results do not, and their stability is not looked at.
         comm: Ranks that share the work.
         settings: Further arguments of ``ContactProblem``: samples, weights, closure, loads, wear.
 
@@ -255,17 +117,19 @@ def frequency_response(
     pieces = [targets[i : i + BLOCK + 1] for i in cuts]
     blocks = [Block(k, n, piece) for k in range(len(asked)) for n, piece in enumerate(pieces)]
     store = None
-    if folder is not None:
-        store = BlockStore(Path(folder), fingerprint(FORMAT, common, family, targets, refine, tolerance))
-        do_together(lambda: [check_place(p) for p in (store.folder / _RESULTS, store.find_path(blocks[0]))], comm)
+    work = folder if work is None else work
+    if work is not None:
+        store = BlockStore(Path(work), fingerprint(FORMAT, common, family, targets, refine, tolerance))
+        places = [*([] if folder is None else [Path(folder) / RESULTS]), store.find_path(blocks[0])]
+        do_together(lambda: [check_place(place) for place in places], comm)
 
-    def work(block: Block) -> tuple[list[Record], list[Jump]]:
+    def find_block(block: Block) -> tuple[list[Record], list[Jump]]:
         known = store.read(block) if store else None
         return known or _solve_block(followers[block.curve], block, store)
 
     with count_progress("frequency response", len(blocks), progress and comm.rank == 0) as report:
         followers = [make_follower(problem, report) for problem in asked.values()]
-        results = share_tasks(blocks, work, comm, report)
+        results = share_tasks(blocks, find_block, comm, report)
         joined = []
         for k, follower in enumerate(followers):
             own = [r for block, r in zip(blocks, results, strict=True) if block.curve == k]
@@ -281,10 +145,12 @@ def frequency_response(
         curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
         if accuracy is not None:
             begun = curves[label] if refine else thin_out(curves[label], targets)
-            posed, shared = follower.problem_at(targets[0]), {"comm": comm, "progress": progress, "folder": folder}
+            posed, shared = follower.problem_at(targets[0]), {"comm": comm, "progress": progress, "folder": work}
             curves[label] = refine_response(begun, posed, targets, accuracy, tolerance, modes=modes, **shared)
-    if store:
-        do_on_rank_zero(lambda: _write_results(store.folder, curves), comm)
+    if folder is not None:
+        for curve in curves.values():  # most of the time of a sweep: not to be left to rank 0, which writes
+            curve.look_at_stability(comm, progress)
+        do_on_rank_zero(lambda: write_curves(Path(folder), curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
 
 
@@ -384,16 +250,3 @@ def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: F
     if below:
         curve.points[:0] = reversed(follower.descend(curve.points[0], below))
     return curve
-
-
-def _write_results(folder: Path, curves: Mapping[object, FrequencyResponse]) -> None:
-    with replace_file(folder / _RESULTS) as file:
-        file.attrs["format"] = FORMAT
-        for number, (label, curve) in enumerate(curves.items()):
-            group = file.create_group(f"curve_{number}")
-            group.attrs["label"] = "" if label is None else str(label)
-            if curve.solutions:
-                curve.write(group)
-    for number, curve in enumerate(curves.values()):
-        name = "frequency_response.csv" if len(curves) == 1 else f"frequency_response_{number}.csv"
-        curve.write_csv(folder / name)

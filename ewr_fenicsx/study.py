@@ -26,7 +26,7 @@ from ewr_fenicsx.symmetry import find_idle_harmonics
 from ewr_fenicsx.work_folder import refuse_other_work, take_up_model
 
 if TYPE_CHECKING:
-    from ewr_fenicsx.frequency_sweep import FrequencyResponse
+    from ewr_fenicsx.response_curve import FrequencyResponse
 
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
 
@@ -199,7 +199,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             scene.frequencies,
             [h for h in problem.basis.orders if h not in idle.orders],  # no columns of zeros
             watch.progress is not None,
-            folder=work,
+            work=work,
             comm=comm,
             **settings,
         )

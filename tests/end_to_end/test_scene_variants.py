@@ -17,7 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 from small_scenes import BLOCKS, write_blocks
 
-from ewr_fenicsx import frequency_sweep, load_scene, solve, wear
+from ewr_fenicsx import frequency_sweep, load_scene, response_curve, solve, wear
 from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.following import Jump
@@ -229,6 +229,23 @@ def test_a_summary_holds_what_decides_on_the_trust_in_a_curve(tmp_path, monkeypa
     assert facts["jumps"] == [{"from_Hz": 3000.0, "to_Hz": 4000.0, "why": "no branch led on"}]
     assert ("-", [2000, 3000]) in drawn and ("-", [4000, 5000, 6000]) in drawn
     assert not any({3000, 4000} <= set(points) for _, points in drawn)
+
+
+@pytest.mark.parametrize("solver", ["harmonics = 1", "accuracy = 0.2"])
+def test_the_stability_of_a_sweep_is_looked_at_once(tmp_path, monkeypatch, solver):
+    """Most of its time: of what is written in the end, by all ranks and with a bar, not of what is thrown away."""
+    looked, find = [], response_curve.FrequencyResponse._find_unstable
+
+    def count(curve, *shared):
+        looked.append((len(curve.solutions), bool(curve.accurate), len(shared)))
+        return find(curve, *shared)
+
+    monkeypatch.setattr(response_curve.FrequencyResponse, "_find_unstable", count)
+    (tmp_path / "scene.toml").write_text(
+        write_blocks(frequency="{ from = 2000, to = 6000, points = 3 }", solver=solver)
+    )
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    assert looked == [(3, solver.startswith("accuracy"), 2)]
 
 
 def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):

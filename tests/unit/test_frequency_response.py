@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from ewr_fenicsx import (
     ContactProblem,
     frequency_response,
     frequency_sweep,
+    response_curve,
     solve,
 )
 from ewr_fenicsx.errors import ModelError, OutputError
@@ -93,6 +95,26 @@ def test_a_table_leaves_out_figures_that_no_law_concerns():
     assert not figures & set(held) and "rms_tip" in held
     pressed = sweep(laws=ContactLaws("prescribed", normal_force=100.0, friction=0.3)).table()
     assert figures & set(pressed) == {"J_T", "friction_dissipation", "cone_violation"}
+
+
+def test_stability_is_looked_at_with_a_bar_before_anything_is_written(tmp_path, monkeypatch):
+    """Tables hold it; rank 0, which writes them, would do it by itself while all others wait."""
+    shown = []
+
+    @contextmanager
+    def record(title, total, shown_at_all):
+        shown.append((title, total, shown_at_all, (tmp_path / "frequency_response.h5").exists()))
+        yield lambda done=None, note="": None
+
+    monkeypatch.setattr(response_curve, "count_progress", record)
+    family = {mu: replace(LAWS, friction=mu) for mu in (0.1, 0.3)}
+    model = lift_off_oscillator(excitation=0.6, damping=0.1)
+    curves = frequency_response(model, family, FREQUENCIES, folder=tmp_path)
+    assert shown == [("stability", 9, True, False)] * 2
+    assert all("unstable" in vars(curve) for curve in curves.values())
+    sweep(work=tmp_path / "work")
+    assert len(shown) == 2, "nothing is written that would hold it"
+    assert [path.name for path in (tmp_path / "work").iterdir()] == ["blocks"]
 
 
 def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
