@@ -27,6 +27,7 @@ from ewr_fenicsx.wear_store import WearState, WearStep
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
 GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
 CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
+REMEDY = "lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)"  # of too much in a cycle
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
 
 
@@ -120,7 +121,7 @@ class WearRun:
             return self._stop(
                 state,
                 f"one cycle wears more than contact can follow (stable up to {limit:.2g} cycles): the two time scales "
-                "are one here; lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)",
+                f"are one here; {REMEDY}",
             )
         solves, length, growth = 0, 1, GROWTH
         if self.jump:

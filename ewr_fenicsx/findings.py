@@ -35,6 +35,16 @@ def word_remedy(found: AccurateSolution) -> AccurateSolution:
     return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
 
 
+def word_stop(history: WearHistory) -> WearHistory:
+    """The same, with what a scene can do about where it stopped in place of what a call can."""
+    from ewr_fenicsx.cycle_jumps import REMEDY
+
+    if not (history.stopped or "").endswith(REMEDY):
+        return history
+    remedy = "lower wear.coefficient, or let wear pass as a flow: wear.tolerance = 0.01"
+    return replace(history, stopped=history.stopped.removesuffix(REMEDY) + remedy)
+
+
 def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through: float) -> list[str]:
     """Where motions are too large for pairs of nodes that stay opposite each other, and for linear elasticity.
 

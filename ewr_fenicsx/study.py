@@ -296,7 +296,7 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> 
             progress=watch.progress is not None,
             **({} if accuracy is None else modes.choice),
         )
-    chain = modes.chain_of(history.solutions[-1])
+    history, chain = findings.word_stop(history), modes.chain_of(history.solutions[-1])
 
     def write(folder: Path) -> None:
         from ewr_fenicsx.plots import draw_curves

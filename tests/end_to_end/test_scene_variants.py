@@ -297,6 +297,21 @@ def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
     assert "estimated error of the response and the wear rate" in capsys.readouterr().out
 
 
+def test_where_a_cycle_wears_too_much_the_remedy_is_a_key_of_the_scene(tmp_path, capsys):
+    wears = "[wear]\ncycles = 20\ncoefficient = 1e-3\n"
+    scene = tmp_path / "scene.toml"
+    scene.write_text(write_blocks(wears, shake=150.0))
+    assert main(["run", str(scene), "--out", str(tmp_path / "results")]) == 0
+    stopped = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]["stopped"]
+    assert stopped.startswith("after 0 cycles: one cycle wears more than contact can follow")
+    assert stopped.endswith("; lower wear.coefficient, or let wear pass as a flow: wear.tolerance = 0.01")
+    assert f"stopped {stopped}" in capsys.readouterr().out
+    scene.write_text(write_blocks(f"{wears}tolerance = 0.01\n", shake=150.0))
+    assert main(["run", str(scene), "--out", str(tmp_path / "healed")]) == 0
+    healed = json.loads((tmp_path / "healed" / "summary.json").read_text())["wear"]
+    assert healed["stopped"] is None and healed["cycles"] == 20
+
+
 def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):
     """The worn joint is found from there without any."""
     (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
