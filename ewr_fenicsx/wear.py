@@ -213,6 +213,7 @@ def evolve_wear(
     saved = state if store else None
     try:
         with count_progress("wear", cycles, progress) as report:
+            report(state.latest.cycle)
             for state in run.go_on(state):  # noqa: B020
                 report(state.latest.cycle)
                 if store and state.solves - saved.solves >= checkpoint_every:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -129,6 +130,30 @@ def test_a_finished_file_is_read_where_nothing_can_be_written(tmp_path, monkeypa
     first = run()
     monkeypatch.setattr(wear, "check_place", lambda _: pytest.fail("asked for a place to write"))
     np.testing.assert_array_equal(run().depth, first.depth)
+
+
+def test_a_resumed_run_shows_at_once_what_is_done(tmp_path, monkeypatch):
+    """The next cycle may take long; until then the bar stood at 0."""
+    told, follow = [], cycle_jumps.solve_from
+
+    @contextmanager
+    def record(title, total, shown):
+        yield told.append
+
+    def interrupt(problem, *start):
+        if len(told) == 4:
+            raise KeyboardInterrupt
+        return follow(problem, *start)
+
+    run = lambda: evolve_wear(pose(), 5, WEAR, file=tmp_path / "wear.h5", progress=True)  # noqa: E731
+    monkeypatch.setattr(wear, "count_progress", record)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(cycle_jumps, "solve_from", interrupt)
+        run()
+    assert told == [0, 1, 2, 3]
+    told.clear()
+    run()
+    assert told == [3, 4, 5]
 
 
 def test_what_an_accuracy_of_wear_cannot_mean():
