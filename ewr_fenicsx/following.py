@@ -8,7 +8,7 @@ turns back: it is traced by arc length through its folds until it passes the par
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,6 +59,21 @@ class Curve:
         """Append another curve."""
         self.points += other.points
         self.jumps += other.jumps
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """From where a branch is followed.
+
+    Attributes:
+        here: Its last solution.
+        before: The one before it, for a secant, or None.
+        reach: Longest step from here [Hz].
+    """
+
+    here: PeriodicSolution
+    before: PeriodicSolution | None = None
+    reach: float = np.inf
 
 
 def solve_from(
@@ -144,9 +159,18 @@ class Follower:
     def follow(self, start: Sequence[PeriodicSolution], targets: Sequence[float]) -> Curve:
         """The branch from its last point or points to each of the rising ``targets`` in turn; these left out."""
         curve = Curve()
-        here, before = start[-1], start[-2] if len(start) > 1 else None
-        reach = np.inf
+        for piece, _ in self.go_on(Stand(*reversed(start[-2:])), targets):
+            curve.extend(piece)
+        return curve
+
+    def go_on(self, stand: Stand, targets: Sequence[float]) -> Iterator[tuple[Curve, Stand]]:
+        """To each of the rising ``targets`` in turn: the piece of the branch up to it, and where that leaves off.
+
+        Whoever keeps the latter can go on from there later, on the same branch to the last bit.
+        """
+        here, before, reach = stand.here, stand.before, stand.reach
         for target in targets:
+            curve = Curve()
             while here.problem.frequency != target:
                 f = min(target, here.problem.frequency + reach)
                 f = target if target - f < SMALLEST_STEP * target else f
@@ -170,7 +194,7 @@ class Follower:
                 easy = surprise < 0.5 * LARGEST_SURPRISE and found.iterations <= FEW_STEPS
                 reach = (2.0 if easy else 1.0) * (f - here.problem.frequency)
                 here, before = found, here
-        return curve
+            yield curve, Stand(here, before, reach)
 
     def descend(self, start: PeriodicSolution, targets: Sequence[float]) -> list[PeriodicSolution]:
         """The branch from a point to each of the falling ``targets`` in turn, as far as it leads without a fold."""

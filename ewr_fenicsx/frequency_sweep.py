@@ -1,15 +1,16 @@
 """``frequency_response``: periodic solutions over a range of frequencies, round the folds where the curve has any.
 
 The given frequencies are cut into blocks. Each block starts cold at its first frequency and follows its branch to the
-first frequency of the next one. Blocks know nothing of each other: ranks share them, and finished ones stay on disk.
+first frequency of the next one. Blocks know nothing of each other: ranks share them, and what is solved stays on disk.
 Where the end of a block and the start of the next are two solutions (a fold lies between), the branch is followed on
 from the former. So the curve is the one that a single sweep would give, however many ranks made it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from ewr_fenicsx.accuracy import check_accuracy, read_modes
 from ewr_fenicsx.contact_laws import JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
-from ewr_fenicsx.following import Curve, Follower, Jump, agree
+from ewr_fenicsx.following import Curve, Follower, Stand, agree
 from ewr_fenicsx.given import is_positive, read_numbers
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import Report, count_progress
@@ -28,10 +29,10 @@ from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.refining import join_points, leave_out_close, refine_points
 from ewr_fenicsx.response_curve import RESULTS, FrequencyResponse, write_curves
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import Record, fingerprint, restore, strip
-from ewr_fenicsx.sweep_store import FORMAT, Block, BlockStore
+from ewr_fenicsx.solution_store import fingerprint, restore, strip
+from ewr_fenicsx.sweep_store import FORMAT, Block, BlockState, BlockStore, keep
 from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
-from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_tasks
+from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_steps
 from ewr_fenicsx.weights import adopt_weights, went_back
 from ewr_fenicsx.whole_files import check_place
 
@@ -78,8 +79,8 @@ def frequency_response(
         accuracy: As in ``solve_to_accuracy``, of every solution. The curve is followed with ``harmonics``, then each of
             its points is solved again with as many as it takes. None: ``harmonics`` are what is used.
         modes: As in ``solve_to_accuracy``.
-        folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as they are finished. A
-            run that was interrupted goes on from the blocks that it finds. None: nothing is written.
+        folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as points are found.
+            A run that was interrupted goes on from these, with the same result. None: nothing is written.
         work: Where ``blocks/`` go in place of ``folder``; results do not, and their stability is not looked at.
         comm: Ranks that share the work.
         settings: Further arguments of ``ContactProblem``: samples, weights, closure, loads, wear.
@@ -123,18 +124,16 @@ def frequency_response(
         places = [*([] if folder is None else [Path(folder) / RESULTS]), store.find_path(blocks[0])]
         do_together(lambda: [check_place(place) for place in places], comm)
 
-    def find_block(block: Block) -> tuple[list[Record], list[Jump]]:
-        known = store.read(block) if store else None
-        return known or _solve_block(followers[block.curve], block, store)
-
-    with count_progress("frequency response", len(blocks), progress and comm.rank == 0) as report:
+    total = len(asked) * len(targets)
+    with count_progress("frequency response", total, progress and comm.rank == 0) as report:
         followers = [make_follower(problem, report) for problem in asked.values()]
-        results = share_tasks(blocks, find_block, comm, report)
+        solved = _solve_blocks(followers, blocks, store, comm, lambda done: report(min(done, total - 1)))
+        report(note="joining blocks")  # which may take long: the last frequency is counted when it is done
         joined = []
         for k, follower in enumerate(followers):
-            own = [r for block, r in zip(blocks, results, strict=True) if block.curve == k]
-            joined.append(_join([_rebuild(follower.problem_at, *r) for r in own], pieces, follower))
-        report(len(blocks))
+            own = [state for block, state in zip(blocks, solved, strict=True) if block.curve == k]
+            joined.append(_join([_rebuild(follower.problem_at, state) for state in own], pieces, follower))
+        report(total)
     curves = {}
     for curve, follower, (label, problem) in zip(joined, followers, asked.items(), strict=True):
         missing = find_missing(targets, curve.points)
@@ -201,23 +200,58 @@ def refine_response(
     return FrequencyResponse(solutions, tuple(jumps), find_missing(frequencies, solutions), tuple(found))
 
 
-def _solve_block(follower: Follower, block: Block, store: BlockStore | None) -> tuple[list[Record], list[Jump]]:
-    curve = Curve()
-    for i, f in enumerate(block.frequencies):
+def _solve_blocks(
+    followers: Sequence[Follower],
+    blocks: Sequence[Block],
+    store: BlockStore | None,
+    comm: MPI.Comm,
+    report: Callable[[int], None],
+) -> list[BlockState]:
+    """Every block, solved from how far it is on disk, and kept on the way; collective."""
+    begun = do_on_rank_zero(lambda: [store.read(b) for b in blocks], comm) if store else [BlockState()] * len(blocks)
+
+    def go_on(block: Block, state: BlockState) -> Iterator[BlockState]:
+        states = _solve_block(followers[block.curve], block, state)
+        return keep(states, partial(store.write, block)) if store else states
+
+    sizes = [block.count(len(block.frequencies)) for block in blocks]
+    return share_steps(blocks, begun, go_on, lambda block, state: block.count(state.passed), sizes, comm, report)
+
+
+def _solve_block(follower: Follower, block: Block, state: BlockState) -> Iterator[BlockState]:
+    """How far a block is after each of its frequencies, from the first one that a state has not passed."""
+    stand = None
+    if state.stand:
+        stand = Stand(*(restore(follower.problem_at(r.frequency), r) for r in state.stand), reach=state.reach)
+    for f in block.frequencies[state.passed :] if stand is None else ():
         try:
-            curve.points.append(solve(follower.problem_at(f), tolerance=follower.tolerance))
+            stand = Stand(solve(follower.problem_at(f), tolerance=follower.tolerance))
         except NotConverged:
-            continue  # it will be among the missing; the block begins at the next frequency
-        curve.extend(follower.follow(curve.points, block.frequencies[i + 1 :]))
+            state = replace(state, passed=state.passed + 1)
+            yield state  # f will be among the missing; the block begins at the next frequency
+            continue
+        state = _extend(state, Curve([stand.here]), stand)
+        yield state
         break
-    result = [strip(s) for s in curve.points], curve.jumps
-    if store:
-        store.write(block, *result)
-    return result
+    for piece, stand in follower.go_on(stand, block.frequencies[state.passed :]) if stand else ():  # noqa: B020
+        state = _extend(state, piece, stand)
+        yield state
 
 
-def _rebuild(problem_at: Callable[[float], ContactProblem], records: list[Record], jumps: list[Jump]) -> Curve:
-    return Curve([restore(problem_at(record.frequency), record) for record in records], list(jumps))
+def _extend(state: BlockState, piece: Curve, stand: Stand) -> BlockState:
+    """The state one frequency further: a piece of the curve, and where that ends."""
+    ends = [stand.here] if stand.before is None else [stand.here, stand.before]
+    return BlockState(
+        state.passed + 1,
+        (*state.records, *map(strip, piece.points)),
+        (*state.jumps, *piece.jumps),
+        tuple(map(strip, ends)),
+        stand.reach,
+    )
+
+
+def _rebuild(problem_at: Callable[[float], ContactProblem], state: BlockState) -> Curve:
+    return Curve([restore(problem_at(record.frequency), record) for record in state.records], list(state.jumps))
 
 
 def _join(parts: Sequence[Curve], pieces: Sequence[Sequence[float]], follower: Follower) -> Curve:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+LOOKS_BACK = 600.0  # seconds from whose speed the rest is estimated: steps that take minutes have one as well
 Report = Callable[..., None]  # the amount done so far, or None where that is as before; note: what goes on, or ""
 
 
@@ -41,7 +42,8 @@ def count_progress(title: str, total: int, shown: bool) -> Iterator[Report]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True, highlight=False)) as display:
+    console = Console(stderr=True, highlight=False)
+    with Progress(*columns, console=console, speed_estimate_period=LOOKS_BACK) as display:
         task = display.add_task(title, total=total)
         yield lambda done=None, note="": display.update(
             task, completed=done, description=f"{title}, {note}" if note else title

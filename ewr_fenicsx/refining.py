@@ -8,8 +8,9 @@ are told from the others by their neighbours, and next to a fold by the side of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
@@ -23,14 +24,15 @@ from ewr_fenicsx.newton import solve
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import Record, fingerprint, restore, strip
-from ewr_fenicsx.sweep_store import FORMAT, GroupStore
-from ewr_fenicsx.task_sharing import share_tasks
+from ewr_fenicsx.sweep_store import FORMAT, GroupStore, keep
+from ewr_fenicsx.task_sharing import do_on_rank_zero, share_steps
 from ewr_fenicsx.weights import adopt_weights
 
 GROUP = 6  # points a group
 PLENTY = 0.5  # share of the accuracy asked for below which a point's estimate leaves room for fewer harmonics
 # Points of a fold are left out that lie so close to the last one, in outputs and in frequency over its range.
 CLOSE, APART = 0.05, 0.01
+_Done = list[tuple[Record, AccurateSolution]]  # points of a group; the latter without their solutions
 SAME = 2.0  # accuracies that two solutions of one problem may lie apart
 
 
@@ -51,42 +53,54 @@ def refine_points(
         problem: What is to be solved, at any frequency; its model may have other modes than that of the points.
         points: Where to start: a solution for each frequency, in the order of the curve.
         accuracy, tolerance, modes: As in ``solve_to_accuracy``.
-        folder: Where groups are kept as they end, so that an interrupted run goes on from there; None: nowhere.
+        folder: Where points are kept as they are found, so that an interrupted run goes on from there; None: nowhere.
         comm: Ranks that share the work.
         progress: Whether rank 0 shows how far it is.
 
     Returns:
         A solution a point. One without a solution of more harmonics keeps its own, and says so in its ``limit``.
     """
-    accuracy, starts = float(accuracy), range(0, len(points), GROUP)
-    store = None
+    accuracy = float(accuracy)
+    groups = [points[start : start + GROUP] for start in range(0, len(points), GROUP)]
+    store, begun = None, [[] for _ in groups]
     if folder is not None:
-        begun = [(p.problem.frequency, p.problem.harmonics, p.forces, p.rigid) for p in points]
-        store = GroupStore(Path(folder), fingerprint(FORMAT, problem, begun, accuracy, tolerance, list(modes)))
+        own = [(p.problem.frequency, p.problem.harmonics, p.forces, p.rigid) for p in points]
+        store = GroupStore(Path(folder), fingerprint(FORMAT, problem, own, accuracy, tolerance, list(modes)))
+        begun = do_on_rank_zero(lambda: [store.read(GROUP * k) for k in range(len(groups))], comm)
 
-    def work(start: int) -> list[tuple[Record, AccurateSolution]]:
-        known = store.read(start) if store else None
-        if known:
-            return known
-        group = points[start : start + GROUP]
-        done, first = [], group[0].orders[-1] or FIRST_ORDER
-        for point in group:
-            posed = replace(problem, frequency=point.problem.frequency)
-            found = refine_point(posed, point, accuracy, tolerance, first, modes)
-            first = begin_next(found, first)
-            done.append((strip(found.solution), replace(found, solution=None)))
-        if store:
-            store.write(start, done)
-        return done
+    def go_on(k: int, done: _Done) -> Iterator[_Done]:
+        states = _refine_group(problem, groups[k], done, accuracy, tolerance, modes)
+        return keep(states, partial(store.write, GROUP * k)) if store else states
 
     with count_progress("accuracy, points", len(points), progress and comm.rank == 0) as report:
-        results = share_tasks(starts, work, comm, lambda begun: report(begun * GROUP))
+        sizes = [len(group) for group in groups]
+        results = share_steps(range(len(groups)), begun, go_on, lambda _, done: len(done), sizes, comm, report)
         report(len(points))
     return [
         replace(found, solution=restore(replace(problem, frequency=record.frequency), record))
         for group in results
         for record, found in group
     ]
+
+
+def _refine_group(
+    problem: ContactProblem,
+    group: Sequence[PeriodicSolution],
+    done: _Done,
+    accuracy: float,
+    tolerance: float,
+    modes: Sequence[int],
+) -> Iterator[_Done]:
+    """What is done of a group after each of its points, from the first one that is not done."""
+    first = group[0].orders[-1] or FIRST_ORDER
+    for _, found in done:
+        first = begin_next(found, first)
+    for point in group[len(done) :]:
+        posed = replace(problem, frequency=point.problem.frequency)
+        found = refine_point(posed, point, accuracy, tolerance, first, modes)
+        first = begin_next(found, first)
+        done = [*done, (strip(found.solution), replace(found, solution=None))]
+        yield done
 
 
 def leave_out_close(points: Sequence[PeriodicSolution], frequencies: Sequence[float]) -> list[PeriodicSolution]:

@@ -1,12 +1,17 @@
-"""A sweep on disk, a file for each block or group of points as it ends: from these an interrupted run goes on."""
+"""A sweep on disk, a file for each block or group of points: from these an interrupted run goes on.
+
+Files are written as points are found, and not more often than is worth it. So it does not matter how a run is ended.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import h5py
 import numpy as np
@@ -18,8 +23,11 @@ from ewr_fenicsx.following import Jump
 from ewr_fenicsx.solution_store import Record, read_records, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
 
-FORMAT = "ewr_fenicsx frequency response, 5"
+FORMAT = "ewr_fenicsx frequency response, 6"
 FILES = "blocks/*.h5"  # of all blocks and groups, in the folder of their sweep
+WORTH = 1.0  # seconds of work that are worth a file
+
+State = TypeVar("State")
 
 
 @dataclass(frozen=True)
@@ -36,10 +44,46 @@ class Block:
     number: int
     frequencies: tuple[float, ...]
 
+    def count(self, passed: int) -> int:
+        """How many of its first frequencies are in no block before it."""
+        return passed if self.number == 0 else max(0, passed - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockState:
+    """How far a block is solved.
+
+    Attributes:
+        passed: Frequencies done, with a solution or without.
+        records: Solutions so far.
+        jumps: Where their curve is broken.
+        stand: Where the branch stands: its last solution and the one before, as far as there are these.
+        reach: Longest step from there [Hz].
+    """
+
+    passed: int = 0
+    records: tuple[Record, ...] = ()
+    jumps: tuple[Jump, ...] = ()
+    stand: tuple[Record, ...] = ()
+    reach: float = np.inf
+
+
+def keep(states: Iterable[State], write: Callable[[State], None]) -> Iterator[State]:
+    """Hands on the states of a piece of work, and writes those that are worth it and the last one."""
+    state = kept = None
+    since = time.monotonic()
+    for state in states:
+        if time.monotonic() - since >= WORTH:
+            write(state)
+            kept, since = state, time.monotonic()
+        yield state
+    if state is not kept:
+        write(state)
+
 
 @dataclass(frozen=True)
 class _Store:
-    """Finished pieces of one sweep, a file each.
+    """Pieces of one sweep, a file each.
 
     Args:
         folder: That of the sweep.
@@ -60,26 +104,28 @@ class _Store:
 
 
 class BlockStore(_Store):
-    """Finished blocks; those of another sweep are refused."""
+    """Blocks as far as they are solved; those of another sweep are refused."""
 
     def find_path(self, block: Block) -> Path:
         """Where a block is or will be."""
         return self._place(f"{block.curve:03d}_{block.number:04d}")
 
-    def write(self, block: Block, records: list[Record], jumps: list[Jump]) -> None:
-        """Write the solutions of a block and where its curve is broken.
+    def write(self, block: Block, state: BlockState) -> None:
+        """Write how far a block is solved.
 
         Raises:
             UnwritableFile: It cannot be written.
         """
         with self._create(self.find_path(block)) as file:
-            if records:
-                write_records(file.create_group("points"), records)
-            file["jumps"] = np.array([jump.frequency for jump in jumps]).reshape(-1, 2)
-            file.attrs["jumps"] = [jump.why for jump in jumps]
+            for name, records in (("points", state.records), ("stand", state.stand)):
+                if records:
+                    write_records(file.create_group(name), records)
+            file["jumps"] = np.array([jump.frequency for jump in state.jumps]).reshape(-1, 2)
+            file.attrs["jumps"] = [jump.why for jump in state.jumps]
+            file.attrs["passed"], file.attrs["reach"] = state.passed, state.reach
 
-    def read(self, block: Block) -> tuple[list[Record], list[Jump]] | None:
-        """What ``write`` wrote, None where it has not.
+    def read(self, block: Block) -> BlockState:
+        """What ``write`` wrote last; where it has not, a block that nothing is done of.
 
         Raises:
             OutputError: The file belongs to another sweep, or cannot be read.
@@ -87,25 +133,25 @@ class BlockStore(_Store):
         path = self.find_path(block)
         with open_file(path) as file:
             if file is None:
-                return None
+                return BlockState()
             if file.attrs.get("stated") != self.stated:
                 raise OutputError(
                     f"{path} belongs to a run with another model, laws or settings; give another folder or remove it"
                 )
-            records = read_records(file["points"]) if "points" in file else []
+            points, stand = (tuple(read_records(file[n])) if n in file else () for n in ("points", "stand"))
             jumps = [Jump(tuple(f), str(w)) for f, w in zip(file["jumps"][()], file.attrs["jumps"], strict=True)]
-            return records, jumps
+            return BlockState(int(file.attrs["passed"]), points, tuple(jumps), stand, float(file.attrs["reach"]))
 
 
 class GroupStore(_Store):
-    """Finished groups of points that are as accurate as asked; those of another sweep are not looked at."""
+    """Groups of points that are as accurate as asked, as far as they are solved; of another sweep, not looked at."""
 
     def find_path(self, group: int) -> Path:
         """Where a group is or will be."""
         return self._place(f"accurate_{self.stated[:16]}_{group:04d}")
 
     def write(self, group: int, found: list[tuple[Record, AccurateSolution]]) -> None:
-        """Write the solutions of a group, and how accurate they are.
+        """Write the solutions of a group so far, and how accurate they are.
 
         Raises:
             UnwritableFile: It cannot be written.
@@ -114,15 +160,15 @@ class GroupStore(_Store):
             write_records(file.create_group("points"), [record for record, _ in found])
             file["accuracy"] = [json.dumps(asdict(replace(accurate, solution=None))) for _, accurate in found]
 
-    def read(self, group: int) -> list[tuple[Record, AccurateSolution]] | None:
-        """What ``write`` wrote, without solutions, None where it has not.
+    def read(self, group: int) -> list[tuple[Record, AccurateSolution]]:
+        """What ``write`` wrote last, without solutions; nothing where it has not.
 
         Raises:
             OutputError: The file cannot be read.
         """
         with open_file(self.find_path(group)) as file:
             if file is None or file.attrs.get("stated") != self.stated:
-                return None
+                return []
             told = [_read_accuracy(json.loads(text)) for text in file["accuracy"][()]]
             return list(zip(read_records(file["points"]), told, strict=True))
 

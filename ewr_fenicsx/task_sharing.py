@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -27,7 +27,7 @@ def share_tasks(
         tasks: The same on every rank.
         work: Does one task; its result must be picklable.
         comm: The ranks.
-        report: Called on each rank with the number of tasks begun before its own.
+        report: Called on each rank as it begins a task, with the number of those that are surely done.
 
     Returns:
         Results in the order of the tasks, on every rank.
@@ -42,7 +42,7 @@ def share_tasks(
         while error is None and (k := take(1)) < len(tasks):
             try:
                 if report:
-                    report(k)
+                    report(max(len(mine), k - (comm.size - 1)))  # the other ranks are at one each
                 mine[k] = work(tasks[k])
             except Exception as caught:
                 error = caught
@@ -52,6 +52,53 @@ def share_tasks(
     _raise_together(error, comm)
     done = {k: result for results in comm.allgather(mine) for k, result in results.items()}
     return [done[k] for k in range(len(tasks))]
+
+
+def share_steps(
+    tasks: Sequence[Task],
+    begun: Sequence[Result],
+    go_on: Callable[[Task, Result], Iterable[Result]],
+    count: Callable[[Task, Result], int],
+    sizes: Sequence[int],
+    comm: MPI.Comm = MPI.COMM_SELF,
+    report: Callable[[int], None] = lambda done: None,
+) -> list[Result]:
+    """Brings every task to its end, step by step from the state that it is in; collective, as ``share_tasks``.
+
+    Args:
+        tasks: The same on every rank.
+        begun: State of each task, the same on every rank.
+        go_on: The states of a task after a given one, up to its end.
+        count: How many points of a task are done in a state.
+        sizes: Points of each task.
+        comm: The ranks.
+        report: Called on each rank as it begins a task or has done a step, with the number of points of all tasks that
+            are done.
+
+    Returns:
+        The last state of each task, on every rank.
+
+    Raises:
+        Exception: As ``share_tasks``.
+    """
+    done = [count(task, state) for task, state in zip(tasks, begun, strict=True)]
+    left = [k for k, size in enumerate(sizes) if done[k] < size]
+    before = np.cumsum([sum(done), *(sizes[k] - done[k] for k in left)]).tolist()  # by how many tasks are done
+    now = before[0]
+
+    def begin(number: int) -> None:
+        nonlocal now
+        now = before[number]
+        report(now)
+
+    def bring_to_end(k: int) -> Result:
+        state = begun[k]
+        for state in go_on(tasks[k], begun[k]):
+            report(now + count(tasks[k], state) - done[k])
+        return state
+
+    ends = dict(zip(left, share_tasks(left, bring_to_end, comm, begin), strict=True))
+    return [ends.get(k, state) for k, state in enumerate(begun)]
 
 
 def do_together(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) -> Result:

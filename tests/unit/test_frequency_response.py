@@ -10,17 +10,19 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from small_models import friction_oscillator, lift_off_oscillator
+from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
 from ewr_fenicsx import (
     ContactLaws,
     ContactProblem,
+    following,
     frequency_response,
     frequency_sweep,
     response_curve,
     solve,
+    sweep_store,
 )
-from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.following import Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
 from ewr_fenicsx.solution_store import restore, strip
@@ -120,11 +122,11 @@ def test_stability_is_looked_at_with_a_bar_before_anything_is_written(tmp_path, 
 def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
     whole, solve_block, begun = sweep(), frequency_sweep._solve_block, []
 
-    def interrupted(follower, block, store):
+    def interrupted(follower, block, state):
         if len(begun) == 1:
             raise KeyboardInterrupt
         begun.append(block.number)
-        return solve_block(follower, block, store)
+        return solve_block(follower, block, state)
 
     monkeypatch.setattr(frequency_sweep, "_solve_block", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -140,6 +142,106 @@ def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch
     np.testing.assert_array_equal(curve.output("tip"), whole.output("tip"))
     with pytest.raises(OutputError, match="another model, laws or settings"):
         sweep(folder=tmp_path, laws=replace(LAWS, friction=0.31))
+
+
+def start_late(problem, **settings):
+    """``solve``, that finds nothing at the first two frequencies."""
+    found = solve(problem, **settings)
+    if problem.frequency < 0.15:
+        raise NotConverged("as if", best=found)
+    return found
+
+
+def count_calls(patch, module, name, most=10**6):
+    """The times at which a function is called; the one beyond ``most`` is where the run is interrupted."""
+    calls, work = [], getattr(module, name)
+
+    def count(*given, **named):
+        if len(calls) == most:
+            raise KeyboardInterrupt
+        calls.append(name)
+        return work(*given, **named)
+
+    patch.setattr(module, name, count)
+    return calls
+
+
+@pytest.mark.parametrize(
+    "model, laws, frequencies, refine",
+    [
+        (stop_oscillator(), ContactLaws(tangential="frictionless", initial_gap=1.0), np.linspace(0.15, 0.19, 5), None),
+        (lift_off_oscillator(excitation=0.6, damping=0.1), LAWS, FREQUENCIES, None),
+        (lift_off_oscillator(excitation=0.6, damping=0.1), LAWS, FREQUENCIES, 0.3),
+    ],
+    ids=["folds", "steps between", "refined"],
+)
+def test_a_block_goes_on_from_the_points_that_it_has(tmp_path, monkeypatch, model, laws, frequencies, refine):
+    """Wherever it is interrupted, to the last bit; only the point in progress is solved again."""
+    monkeypatch.setattr(frequency_sweep, "BLOCK", 20)
+    monkeypatch.setattr(sweep_store, "WORTH", 0.0)
+    if laws is LAWS:
+        monkeypatch.setattr(frequency_sweep, "solve", start_late)
+    run = lambda **given: frequency_response(model, laws, frequencies, 7, False, refine=refine, **given)  # noqa: E731
+    with monkeypatch.context() as patch:
+        calls = count_calls(patch, following, "solve_from")
+        whole = run()
+    for n, most in enumerate(range(0, len(calls), max(1, len(calls) // 7))):
+        folder, name = tmp_path / str(n), "blocks/000_0000.h5"
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            count_calls(patch, following, "solve_from", most)
+            run(work=folder)
+        assert (folder / name).exists(), "the cold start is kept in any case"
+        with monkeypatch.context() as patch:
+            cold, more = count_calls(patch, frequency_sweep, "solve"), count_calls(patch, following, "solve_from")
+            curve = run(work=folder)
+        assert not cold and len(more) <= len(calls)
+        np.testing.assert_array_equal(curve.frequencies, whole.frequencies)
+        np.testing.assert_array_equal([s.forces for s in curve.solutions], [s.forces for s in whole.solutions])
+        assert [s.iterations for s in curve.solutions] == [s.iterations for s in whole.solutions]
+        assert curve.missing == whole.missing and curve.jumps == whole.jumps
+    assert len(more) < 0.9 * len(calls), "not much of it where one step is a fold, with hundreds of points"
+
+
+def test_starts_that_led_nowhere_are_not_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep_store, "WORTH", 0.0)
+    monkeypatch.setattr(frequency_sweep, "solve", start_late)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, frequency_sweep, "solve", 2)
+        sweep(work=tmp_path)
+    calls = count_calls(monkeypatch, frequency_sweep, "solve")
+    curve = sweep(work=tmp_path)
+    assert len(calls) == 2, "the third frequency and the second block"
+    np.testing.assert_array_equal(curve.output("tip"), sweep().output("tip"))
+
+
+def test_points_that_cost_nothing_are_not_written_one_by_one(tmp_path, monkeypatch):
+    written, write = [], sweep_store.BlockStore.write
+    monkeypatch.setattr(sweep_store.BlockStore, "write", lambda self, *what: written.append(what) or write(self, *what))
+    sweep(FREQUENCIES[:3], work=tmp_path)
+    assert [state.passed for _, state in written] == [3]
+
+
+def test_the_bar_counts_frequencies(tmp_path, monkeypatch):
+    """The last one when all is done: until then blocks are joined. A resumed sweep begins where it was."""
+    told = []
+
+    @contextmanager
+    def record(title, total, shown):
+        told.append((title, total))
+        yield lambda done=None, note="": told.append(note or done)
+
+    monkeypatch.setattr(frequency_sweep, "count_progress", record)
+    sweep(FREQUENCIES[:3])
+    assert told == [("frequency response", 3), 0, 1, 2, 2, "joining blocks", 3]
+    told.clear()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(sweep_store, "WORTH", 0.0)
+        count_calls(patch, frequency_sweep, "_solve_block", 1)
+        sweep(work=tmp_path)
+    assert told == [("frequency response", 9), 0, *range(1, 8), 7]
+    told.clear()
+    sweep(work=tmp_path)
+    assert told == [("frequency response", 9), 7, 7, 8, 8, "joining blocks", 9]
 
 
 @pytest.mark.parametrize("keep", [0, 20, 3000], ids=["empty", "cut in its header", "cut"])
