@@ -148,7 +148,7 @@ def frequency_response(
             curves[label] = refine_response(begun, posed, targets, accuracy, tolerance, modes=modes, **shared)
     if folder is not None:
         for curve in curves.values():  # most of the time of a sweep: not to be left to rank 0, which writes
-            curve.look_at_stability(comm, progress)
+            curve.look_at_stability(comm, progress, Path(work))
         do_on_rank_zero(lambda: write_curves(Path(folder), curves), comm)
     return curves if isinstance(laws, Mapping) else curves[None]
 

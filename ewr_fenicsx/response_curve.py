@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +19,9 @@ from ewr_fenicsx.following import Jump
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.solution_store import gather_figure, gather_output, list_orders, strip, write_records
-from ewr_fenicsx.sweep_store import FORMAT
-from ewr_fenicsx.task_sharing import share_tasks
+from ewr_fenicsx.solution_store import fingerprint, gather_figure, gather_output, list_orders, strip, write_records
+from ewr_fenicsx.sweep_store import FORMAT, WORTH_A_POINT, StabilityStore
+from ewr_fenicsx.task_sharing import do_on_rank_zero, share_tasks
 from ewr_fenicsx.whole_files import replace_file, write_table
 
 RESULTS = "frequency_response.h5"
@@ -81,24 +82,39 @@ class FrequencyResponse:
         """
         return self._find_unstable()
 
-    def look_at_stability(self, comm: MPI.Comm, progress: bool = False) -> None:
+    def look_at_stability(self, comm: MPI.Comm, progress: bool = False, work: Path | None = None) -> None:
         """Finds ``unstable``, its points shared by all ranks; collective. Else each rank does so when it needs it.
 
         Args:
-            comm, progress: As in ``frequency_response``.
+            comm, progress, work: As in ``frequency_response``.
         """
-        vars(self)["unstable"] = self._find_unstable(comm, progress)
+        vars(self)["unstable"] = self._find_unstable(comm, progress, work)
 
-    def _find_unstable(self, comm: MPI.Comm = MPI.COMM_SELF, progress: bool = False) -> np.ndarray:
+    def _find_unstable(
+        self, comm: MPI.Comm = MPI.COMM_SELF, progress: bool = False, work: Path | None = None
+    ) -> np.ndarray:
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
         near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
-        leaves = lambda s, near: bool(s.alternates or s.multiplier != 0 or (near and s.grows))  # noqa: E731
-        points = list(zip(self.solutions, near, strict=True))
-        with count_progress("stability", len(points), progress and comm.rank == 0) as report:
-            found = share_tasks(points, lambda point: leaves(*point), comm, report)
-            report(len(points))
-        return np.array(found, dtype=bool)
+        store, known = None, {}
+        if work is not None and self.solutions:
+            own = [replace(strip(s), seconds=0.0) for s in self.solutions]  # wall times are not theirs alone
+            store = StabilityStore(work, fingerprint(FORMAT, self.solutions[0].problem, own, near))
+            known = do_on_rank_zero(lambda: store.read(len(own)), comm)
+        left = [k for k in range(len(self.solutions)) if k not in known]
+
+        def look(k: int) -> bool:
+            solution, since = self.solutions[k], time.monotonic()
+            leaves = bool(solution.alternates or solution.multiplier != 0 or (near[k] and solution.grows))
+            if store and time.monotonic() - since >= WORTH_A_POINT:
+                store.write(k, leaves)
+            return leaves
+
+        with count_progress("stability", len(self.solutions), progress and comm.rank == 0) as report:
+            found = share_tasks(left, look, comm, lambda done: report(len(known) + done))
+            report(len(self.solutions))
+        found = known | dict(zip(left, found, strict=True))
+        return np.array([found[k] for k in range(len(found))], dtype=bool)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.

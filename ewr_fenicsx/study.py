@@ -209,7 +209,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
     with watch.stage("stability"):
-        curve.look_at_stability(comm, watch.progress is not None)
+        curve.look_at_stability(comm, watch.progress is not None, work)
     table = curve.table()
     outputs = [name for name in table if name.startswith("rms_")]
     shown = outputs or ["J_T" if "J_T" in table else "excitation_work"]  # nothing slides where all is bonded

@@ -25,7 +25,7 @@ from ewr_fenicsx.whole_files import open_file, replace_file
 
 FORMAT = "ewr_fenicsx frequency response, 6"
 FILES = "blocks/*.h5"  # of all blocks and groups, in the folder of their sweep
-WORTH = 1.0  # seconds of work that are worth a file
+WORTH, WORTH_A_POINT = 1.0, 0.1  # seconds of work that are worth a file: of several points, and of one
 
 State = TypeVar("State")
 
@@ -171,6 +171,36 @@ class GroupStore(_Store):
                 return []
             told = [_read_accuracy(json.loads(text)) for text in file["accuracy"][()]]
             return list(zip(read_records(file["points"]), told, strict=True))
+
+
+class StabilityStore(_Store):
+    """Which points of a curve are unstable, a file each; those of another curve are not looked at."""
+
+    def find_path(self, point: int) -> Path:
+        """Where a point is or will be."""
+        return self._place(f"stability_{self.stated[:16]}_{point:04d}")
+
+    def write(self, point: int, unstable: bool) -> None:
+        """Write whether a point is unstable.
+
+        Raises:
+            UnwritableFile: It cannot be written.
+        """
+        with self._create(self.find_path(point)) as file:
+            file.attrs["unstable"] = unstable
+
+    def read(self, count: int) -> dict[int, bool]:
+        """What ``write`` wrote of the first ``count`` points, by their numbers.
+
+        Raises:
+            OutputError: A file cannot be read.
+        """
+        known = {}
+        for point in range(count):
+            with open_file(self.find_path(point)) as file:
+                if file is not None and file.attrs.get("stated") == self.stated:
+                    known[point] = bool(file.attrs["unstable"])
+        return known
 
 
 def _read_accuracy(told: dict) -> AccurateSolution:

@@ -245,7 +245,7 @@ def test_the_stability_of_a_sweep_is_looked_at_once(tmp_path, monkeypatch, solve
         write_blocks(frequency="{ from = 2000, to = 6000, points = 3 }", solver=solver)
     )
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    assert looked == [(3, solver.startswith("accuracy"), 2)]
+    assert looked == [(3, solver.startswith("accuracy"), 3)]
 
 
 def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):

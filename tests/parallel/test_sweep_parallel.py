@@ -91,7 +91,7 @@ def test_curves_do_not_depend_on_the_number_of_ranks(mpirun, tmp_path):
         done = mpirun(ranks, "python", "-m", "mpi4py", SCRIPT, folder)
         assert done.returncode == 0, done.stderr
         assert (folder / "family" / "frequency_response.h5").exists()
-        assert len(list((folder / "family" / "blocks").iterdir())) == 4
+        assert len(list((folder / "family" / "blocks").glob("00*.h5"))) == 4
         found[ranks] = [dict(np.load(folder / f"rank{rank}.npz")) for rank in range(ranks)]
     for ranks, results in found.items():
         for result in results:

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from mpi4py import MPI
 from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
 from ewr_fenicsx import (
@@ -22,6 +23,7 @@ from ewr_fenicsx import (
     solve,
     sweep_store,
 )
+from ewr_fenicsx import solution as solutions
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.following import Jump, agree
 from ewr_fenicsx.frequency_sweep import FrequencyResponse
@@ -117,6 +119,34 @@ def test_stability_is_looked_at_with_a_bar_before_anything_is_written(tmp_path, 
     sweep(work=tmp_path / "work")
     assert len(shown) == 2, "nothing is written that would hold it"
     assert [path.name for path in (tmp_path / "work").iterdir()] == ["blocks"]
+
+
+def test_stability_that_was_looked_at_is_not_looked_at_again(tmp_path, monkeypatch):
+    """Where that was interrupted; quick points are not worth a file, and another curve is another matter."""
+    whole = sweep()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(response_curve, "WORTH_A_POINT", 0.0)
+        count_calls(patch, solutions, "find_growth", 4)
+        whole.look_at_stability(MPI.COMM_SELF, work=tmp_path)
+    monkeypatch.setattr(response_curve, "WORTH_A_POINT", np.inf)
+    calls = count_calls(monkeypatch, solutions, "find_growth")
+    curve = sweep()
+    curve.look_at_stability(MPI.COMM_SELF, work=tmp_path)
+    assert len(calls) == len(curve.solutions) - 4
+    np.testing.assert_array_equal(curve.unstable, whole.unstable)
+    calls.clear()
+    curve = sweep(laws=replace(LAWS, friction=0.31))
+    curve.look_at_stability(MPI.COMM_SELF, work=tmp_path)
+    assert len(calls) == len(curve.solutions)
+    assert len(list((tmp_path / "blocks").iterdir())) == 4, "the others were not worth it"
+
+
+def test_what_was_found_of_stability_is_what_is_read(tmp_path):
+    store = sweep_store.StabilityStore(tmp_path, "this curve")
+    for point in (0, 2):
+        store.write(point, point == 2)
+    assert store.read(4) == {0: False, 2: True}
+    assert sweep_store.StabilityStore(tmp_path, "this curve, another").read(4) == {}
 
 
 def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
@@ -216,6 +246,7 @@ def test_starts_that_led_nowhere_are_not_tried_again(tmp_path, monkeypatch):
 
 def test_points_that_cost_nothing_are_not_written_one_by_one(tmp_path, monkeypatch):
     written, write = [], sweep_store.BlockStore.write
+    monkeypatch.setattr(sweep_store, "WORTH", 1000.0)
     monkeypatch.setattr(sweep_store.BlockStore, "write", lambda self, *what: written.append(what) or write(self, *what))
     sweep(FREQUENCIES[:3], work=tmp_path)
     assert [state.passed for _, state in written] == [3]
