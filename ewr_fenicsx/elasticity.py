@@ -17,10 +17,10 @@ import scipy.sparse
 import scipy.sparse.csgraph
 import ufl
 from petsc4py import PETSc
-from scipy.spatial import cKDTree
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
+from ewr_fenicsx.facing import find_facing_bodies
 from ewr_fenicsx.materials import Damping, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.mesh import JointMesh
 
@@ -262,35 +262,13 @@ def _outer_facets(mesh: JointMesh, entry: EdgeForce | OutputSpec, what: str) -> 
             f'boundary "{entry.boundary}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either '
             "side; a load or an output needs an edge of the bodies"
         )
-    if bodies := _find_bodies_face_to_face(mesh, owned):
+    if bodies := find_facing_bodies(mesh, owned):
         each = "each would carry a part of the load" if what == "load" else "the output would be the mean over both"
         raise MeshError(
             f'{what}s.{entry.name}.boundary = "{entry.boundary}" is a flank: its curves are on both bodies, '
             f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
         )
     return facets
-
-
-def _find_bodies_face_to_face(mesh: JointMesh, facets: np.ndarray) -> tuple[str, ...]:
-    """Names of two bodies that have exterior facets, given by each rank's own, at the same place; else none."""
-    domain = mesh.domain
-    cells_of, cells = domain.topology.connectivity(1, 2), domain.topology.index_map(2)
-    tags = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
-    tags[mesh.cell_tags.indices] = mesh.cell_tags.values
-    beside = np.array([cells_of.links(f)[0] for f in facets], dtype=np.int32)
-    middle = dolfinx.mesh.compute_midpoints(domain, 1, facets)
-    outward = middle - dolfinx.mesh.compute_midpoints(domain, 2, beside)
-    everyone = domain.comm.allgather((tags[beside], middle, outward))
-    body, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
-    depth = np.linalg.norm(outward, axis=1)
-    for tag in np.unique(body)[1:]:
-        mine, others = np.flatnonzero(body == tag), np.flatnonzero(body < tag)
-        distance, partner = cKDTree(middle[others]).query(middle[mine])
-        there = others[partner]
-        opposed = np.sum(outward[mine] * outward[there], axis=1) < -0.5 * depth[mine] * depth[there]
-        if np.any(meet := opposed & (distance < depth[mine])):  # also across a gap that the mesh has
-            return tuple(name for name, known in mesh.bodies.items() if known in (tag, body[there[meet][0]]))
-    return ()
 
 
 def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:

@@ -27,7 +27,7 @@ ORDER = [
     "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "cost", "progress", "task_sharing",
     "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep", "archard",
     "wear_store", "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure",
-    "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "elasticity",
+    "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "facing", "elasticity",
     "interface", "modes", "columns", "orientation", "reduction", "chain", "gathering", "plots", "mesh_plots",
     "cost_plots", "folder_lock", "result_folder", "output", "wear_fields", "work_folder", "findings", "study",
     "cost_report", "cli", "__main__",
