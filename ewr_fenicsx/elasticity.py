@@ -274,14 +274,25 @@ def _outer_facets(mesh: JointMesh, entry: EdgeForce | OutputSpec, what: str) -> 
 def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
     """``integral N_k w ds`` over exterior facets [m]; ``w`` is a constant direction, or the outward normal (None)."""
     domain = space.mesh
-    tags = dolfinx.mesh.meshtags(domain, domain.topology.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, subdomain_id=1)
     # a constant enters the compiled code as data: one compilation serves every direction
     w = (
         ufl.FacetNormal(domain)
         if direction is None
         else dolfinx.fem.Constant(domain, np.array(direction, dtype=PETSc.ScalarType))
     )
+    return _integrate_field(space, facets, w)
+
+
+def integrate_squared_normal(space, facets: np.ndarray) -> PETSc.Vec:
+    """``integral N_k n_x n ds`` over exterior facets [m], ``n`` the outward normal."""
+    n = ufl.FacetNormal(space.mesh)
+    return _integrate_field(space, facets, n[0] * n)
+
+
+def _integrate_field(space, facets: np.ndarray, w) -> PETSc.Vec:
+    domain = space.mesh
+    tags = dolfinx.mesh.meshtags(domain, domain.topology.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, subdomain_id=1)
     form = ufl.inner(w, ufl.TestFunction(space)) * ds
     return _compat.assemble_vector(_compat.compile_form(form, "an edge integral"))
 

@@ -7,7 +7,7 @@ Every rank holds the same interface.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import dolfinx
 import numpy as np
@@ -16,6 +16,8 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx import elasticity
 from ewr_fenicsx.errors import InterfaceError, nearest
+
+SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class _Side:
     position: np.ndarray
     normal: np.ndarray
     area: np.ndarray
+    turn: np.ndarray  # angle between the edges that meet at each node [degree]
+
+    def take(self, nodes: np.ndarray) -> _Side:
+        """Some of the nodes, in an order of one's own."""
+        return _Side(*(getattr(self, entry.name)[nodes] for entry in fields(self)))
 
 
 def pair_interface(
@@ -75,7 +82,7 @@ def pair_interface(
 
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
-            tolerance, a node shared by both bodies or by two flanks.
+            tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner.
     """
     mesh = structure.mesh
     for body in (body_a, body_b):
@@ -104,6 +111,8 @@ def pair_interface(
             )
     names = tuple(sides)
     paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
+    for name, (a, _) in zip(names, paired, strict=True):
+        _check_smooth(name, a)
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
     _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
@@ -137,29 +146,50 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     in_body[mesh.cell_tags.find(tag)] = True
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
-    area = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2] * structure.thickness
+    length = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2]
     normal = elasticity.integrate_over_edge(space, mine).array.reshape(-1, 2)
+    turn = _measure_turn(length, normal, elasticity.integrate_squared_normal(space, mine).array.reshape(-1, 2))
     local = dolfinx.fem.locate_dofs_topological(space, 1, mine)
     local = np.unique(local[local < space.dofmap.index_map.size_local])
     columns = (
         elasticity.local_to_global(space, local),
         space.tabulate_dof_coordinates()[local, :2],
         normal[local],
-        area[local],
+        length[local] * structure.thickness,
+        turn[local],
     )
-    nodes, position, normal, area = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return _Side(nodes, position, np.divide(normal, length, out=normal, where=length > 0), area)
+    nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
+
+
+def _measure_turn(length: np.ndarray, normal: np.ndarray, squared: np.ndarray) -> np.ndarray:
+    """Angle between the normals of the two edges that meet at each node, however long each is, ``(n,)`` [degree].
+
+    Args:
+        length: ``integral N ds``, ``(n,)`` [m].
+        normal: ``integral N n ds``, ``(n, 2)`` [m].
+        squared: ``integral N n_x n ds``, ``(n, 2)`` [m].
+
+    With shares ``w`` and ``1 - w`` of two normals at an angle ``t``, their mean is shorter than one:
+    ``1 - |mean|^2 = 2 w (1 - w) (1 - cos t)``. The mean of ``n n^T`` has the determinant ``w (1 - w) sin^2 t``.
+    """
+    share = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    missing = 1 - ((normal * share[:, None]) ** 2).sum(axis=1)
+    xx, xy = (squared * share[:, None]).T
+    determinant = xx * (1 - xx) - xy**2
+    bent = (missing > 0.01) & (length > 0)  # less: straight to rounding, or curved inside an edge
+    cosine = np.divide(2 * determinant, missing, out=np.full_like(length, 2.0), where=bent) - 1
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
     """Both sides of a flank, ordered along the tangent of A, node by node."""
     shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
     if len(shared):
-        x, y = a.position[shared[0]]
         raise InterfaceError(
-            f'flank "{name}": {body_a} and {body_b} share {len(shared)} nodes, e.g. at ({x:.6g}, {y:.6g}) '
-            "m; coincident nodes of a joint must stay distinct"
+            f'flank "{name}": {body_a} and {body_b} share {len(shared)} nodes, e.g. at '
+            f"{_tell_place(a.position[shared[0]])}; coincident nodes of a joint must stay distinct"
         )
     if len(a.nodes) != len(b.nodes) or not len(a.nodes):
         raise InterfaceError(
@@ -171,16 +201,27 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
     if distance[worst] > tolerance * length or len(set(partner)) != len(partner):
-        x, y = a.position[order[worst]]
         raise InterfaceError(
-            f'flank "{name}": the {body_a} node at ({x:.6g}, {y:.6g}) m is {distance[worst]:.3g} m away '
-            f"from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
+            f'flank "{name}": the {body_a} node at {_tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
+            f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
             "the same end points and the same transfinite spacing"
         )
-    return (
-        _Side(a.nodes[order], a.position[order], a.normal[order], a.area[order]),
-        _Side(b.nodes[partner], b.position[partner], b.normal[partner], b.area[partner]),
-    )
+    return a.take(order), b.take(partner)
+
+
+def _check_smooth(name: str, side: _Side) -> None:
+    k = int(np.argmax(side.turn))
+    if side.turn[k] > SHARPEST:
+        raise InterfaceError(
+            f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {_tell_place(side.position[k])}: a pair '
+            f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
+            "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
+        )
+
+
+def _tell_place(position: np.ndarray) -> str:
+    x, y = np.round(position, 12) + 0.0  # without the minus of -0
+    return f"({x:.6g}, {y:.6g}) m"
 
 
 def _follow_tangent(side: _Side) -> np.ndarray:
@@ -207,8 +248,8 @@ def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> Non
             k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2]
             raise InterfaceError(
                 f'flanks "{names[flank_of_pair[k]]}" and "{names[flank_of_pair[other]]}" share the node '
-                f"at ({position[k, 0]:.6g}, {position[k, 1]:.6g}) m; leave a gap between them, or make "
-                "them one flank"
+                f"at {_tell_place(position[k])}; leave a gap between them, or, "
+                "where they go on without a corner, make them one flank"
             )
 
 

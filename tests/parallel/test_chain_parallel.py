@@ -12,6 +12,7 @@ from ewr_fenicsx.reduced_model import read_reduced_model
 
 SCRIPT = Path(__file__).with_name("chain_on_ranks.py")
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+CORNERED = TWO_BLOCKS.with_name("cornered.py")
 ROOT = Path(__file__).parents[2]
 FIR_TREE = ROOT / "geometry" / "fir_tree.py"
 
@@ -56,6 +57,32 @@ def test_one_and_two_ranks_agree(mpirun, tmp_path, source, parameters, degree):
     for figures in (one, two):
         assert figures["energy"] == pytest.approx(figures["work"], rel=1e-9)
         assert (figures["rigid"] < 1e-12).all()
+
+
+def test_a_corner_is_seen_on_any_number_of_ranks(mpirun, tmp_path):
+    """Also where its two edges lie on different ranks."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from mpi4py import MPI\n"
+        "from ewr_fenicsx.elasticity import assemble_structure\n"
+        "from ewr_fenicsx.errors import InterfaceError\n"
+        "from ewr_fenicsx.interface import pair_interface\n"
+        "from ewr_fenicsx.materials import TITANIUM\n"
+        "from ewr_fenicsx.mesh import build_mesh\n"
+        "mesh = build_mesh(Path(sys.argv[1]), {}, MPI.COMM_WORLD)\n"
+        "structure = assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM))\n"
+        "try:\n"
+        "    pair_interface(structure)\n"
+        "except InterfaceError as error:\n"
+        "    told = MPI.COMM_WORLD.gather(str(error))\n"
+        "    print(*(told or []), sep='\\n', flush=True)\n"
+    )
+    for ranks in (1, 3):
+        done = mpirun(ranks, "python", "-m", "mpi4py", script, CORNERED)
+        told = [line for line in done.stdout.splitlines() if line.startswith('flank "seat" turns a corner of 90 deg')]
+        assert len(told) == ranks and len(set(told)) == 1, done.stdout + done.stderr
 
 
 def test_error_on_two_ranks_stops_both(mpirun, tmp_path):

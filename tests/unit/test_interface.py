@@ -17,6 +17,7 @@ from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+CORNERED = Path(__file__).parents[1] / "geometry" / "cornered.py"
 BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
 FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
 ANGLE = 25.0
@@ -147,7 +148,7 @@ def test_nodes_further_apart_than_the_tolerance_are_named():
 def test_two_nodes_have_no_partner_in_common():
     """However near they are to it."""
     lay = lambda first, *x: _Side(  # noqa: E731
-        first + np.arange(3), np.column_stack([x, np.zeros(3)]), np.tile([0.0, -1.0], (3, 1)), np.ones(3)
+        first + np.arange(3), np.column_stack([x, np.zeros(3)]), np.tile([0.0, -1.0], (3, 1)), np.ones(3), np.zeros(3)
     )
     a, b = lay(0, 0.0, 1e-8, 1.0), lay(10, 0.0, 0.5, 1.0)
     with pytest.raises(InterfaceError, match=r'flank "top": .*; give both curves the same end points'):
@@ -188,3 +189,33 @@ def test_flanks_that_share_a_node_are_refused():
     cut = replace(structure, mesh=replace(mesh, facet_tags=tags, boundaries={"left": 1, "right": 2}))
     with pytest.raises(InterfaceError, match=r'flanks "left" and "right" share the node at \(0\.02, 0\.03\) m'):
         pair_interface(cut)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("wall", [0.01, 0.1])
+def test_a_flank_that_turns_a_corner_is_refused(degree, wall):
+    """Its pair had the normal between both, and carried the whole load as a wedge; edges may be of any lengths."""
+    words = r'flank "seat" turns a corner of 90 degrees at \(0, 0\) m: .* end the flank short of the corner'
+    with pytest.raises(InterfaceError, match=words):
+        pair_interface(assemble(CORNERED, degree, wall=wall))
+
+
+def test_flanks_that_end_short_of_a_corner_have_normals_of_their_own():
+    for flanks in (1, 2):
+        interface = pair_interface(assemble(CORNERED, short=0.001, flanks=flanks))
+        assert len(interface.area) == 10
+        np.testing.assert_allclose(np.abs(interface.normal).max(axis=1), 1, rtol=1e-12)
+    with pytest.raises(InterfaceError, match=r'flanks "floor" and "wall" share the node at .* go on without a corner'):
+        pair_interface(assemble(CORNERED, flanks=2))
+
+
+@pytest.mark.parametrize("around", [4, 5, 6, 8, 9])
+def test_coarse_curves_are_no_corners(around):
+    structure = assemble(CORNERED, around=around)
+    if around > 5:
+        interface = pair_interface(structure)
+        outward = interface.position / np.linalg.norm(interface.position, axis=1, keepdims=True)
+        np.testing.assert_allclose(interface.normal, outward, atol=1e-9)
+    else:
+        with pytest.raises(InterfaceError, match=f"a corner of {360 // around} degrees"):
+            pair_interface(structure)
