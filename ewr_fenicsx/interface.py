@@ -82,7 +82,8 @@ def pair_interface(
 
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
-            tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner.
+            tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
+            that has both bodies on the same side.
     """
     mesh = structure.mesh
     for body in (body_a, body_b):
@@ -111,8 +112,9 @@ def pair_interface(
             )
     names = tuple(sides)
     paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
-    for name, (a, _) in zip(names, paired, strict=True):
+    for name, (a, b) in zip(names, paired, strict=True):
         _check_smooth(name, a)
+        _check_opposed(name, a, b, body_a, body_b)
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
     _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
@@ -216,6 +218,15 @@ def _check_smooth(name: str, side: _Side) -> None:
             f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {_tell_place(side.position[k])}: a pair '
             f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
             "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
+        )
+
+
+def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> None:
+    alike = np.flatnonzero(np.sum(a.normal * b.normal, axis=1) > -0.5)
+    if len(alike):
+        raise InterfaceError(
+            f'flank "{name}": {body_a} and {body_b} lie on the same side of it at {_tell_place(a.position[alike[0]])}: '
+            "they overlap there, and neither could press on the other; draw the bodies on either side of their flank"
         )
 
 

@@ -219,3 +219,14 @@ def test_coarse_curves_are_no_corners(around):
     else:
         with pytest.raises(InterfaceError, match=f"a corner of {360 // around} degrees"):
             pair_interface(structure)
+
+
+@pytest.mark.parametrize("bodies", [("blade", "disk"), ("disk", "blade")])
+def test_bodies_on_the_same_side_of_their_flank_are_refused(bodies):
+    """The blade hangs down from its joint into the disk."""
+    structure = assemble(blade_height=-0.01)
+    words = (
+        rf'flank "joint": {bodies[0]} and {bodies[1]} lie on the same side of it at \(0\.04, 0\.03\) m: they overlap'
+    )
+    with pytest.raises(InterfaceError, match=words):
+        pair_interface(structure, body_a=bodies[0], body_b=bodies[1])
