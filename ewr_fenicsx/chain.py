@@ -17,7 +17,7 @@ from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.elasticity import Structure, assemble_structure
 from ewr_fenicsx.errors import ModelError, SceneError, nearest
-from ewr_fenicsx.interface import Interface, pair_interface
+from ewr_fenicsx.interface import Interface, doubt_boundaries, pair_interface
 from ewr_fenicsx.law_kinds import list_parameters
 from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.reduced_model import ReducedModel
@@ -71,7 +71,7 @@ def add_times(*times: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh and modes."""
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh, joint and modes."""
 
     scene: Scene
     mesh: JointMesh
@@ -120,6 +120,8 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         interface = pair_interface(
             structure, contact.flanks, body_a=contact.body_a, body_b=contact.body_b, tolerance=contact.pair_tolerance
         )
+        joint = interface.flanks, contact.body_a, contact.body_b
+        doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
     check_flanks(scene, interface)
     with watch.stage("reduction"):
         reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)

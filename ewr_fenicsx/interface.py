@@ -6,7 +6,7 @@ Every rank holds the same interface.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import dolfinx
@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import cKDTree
 
-from ewr_fenicsx import elasticity
+from ewr_fenicsx import elasticity, facing
 from ewr_fenicsx.errors import InterfaceError, nearest
 
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
@@ -133,6 +133,47 @@ def pair_interface(
         _relative_motion(nodes_b, nodes_a, normal, size),
         _relative_motion(nodes_a, nodes_b, tangent, size),
     )
+
+
+def doubt_boundaries(
+    structure: elasticity.Structure, flanks: Sequence[str], body_a: str, body_b: str, held: Sequence[str] = ()
+) -> Iterator[str]:
+    """What is probably not meant by boundaries on which bodies lie face to face and no contact is: a sentence each.
+
+    Pieces of the mesh that are joined by shared nodes anywhere do not count. Collective.
+
+    Args:
+        structure: Of the mesh that holds the boundaries.
+        flanks: Names of those that are in contact.
+        body_a: One body of the joint.
+        body_b: The other one.
+        held: Names of those that are clamped.
+    """
+    mesh, space = structure.mesh, structure.space
+    mesh.domain.topology.create_connectivity(1, 2)
+    outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
+    for name in sorted(set(mesh.boundaries) - {*flanks, *held}):
+        facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
+        nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
+        bodies = facing.find_facing_bodies(mesh, facets, structure.part[elasticity.local_to_global(space, nodes)])
+        if bodies:
+            whose = " and ".join(bodies) if len(set(bodies)) == 2 else f"two pieces of {bodies[0]}"
+            yield (
+                f'boundary "{name}" holds curves of {whose}, which lie face to face and do not touch each other in '
+                f"this model: a joint is between {body_a} and {body_b}, on {', '.join(flanks)}; if they should touch, "
+                f"{_tell_how_to_touch(bodies, body_a, body_b)}; if they are glued, let them share nodes"
+            )
+
+
+def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:
+    """What makes a flank of a boundary that holds curves of two bodies, which may be of one name."""
+    if set(bodies) == {body_a, body_b}:
+        return "name it in contact.flanks"
+    strangers = set(bodies) - {body_a, body_b}
+    if len(set(bodies)) == 2 and len(strangers) == 1:
+        other = body_b if body_a in bodies else body_a
+        return f"make {strangers.pop()} a part of {other}"
+    return f"make one of them a part of {body_a}, the other of {body_b}"
 
 
 def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Side:

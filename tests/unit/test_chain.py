@@ -8,7 +8,7 @@ import dolfinx
 import pytest
 import ufl
 from mpi4py import MPI
-from small_scenes import write_blocks
+from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx import _compat, chain, law_kinds, load_scene
 from ewr_fenicsx.chain import Stopwatch, add_times
@@ -92,3 +92,10 @@ def test_a_law_that_lacks_a_parameter_is_told_before_there_is_a_mesh(tmp_path, m
     (tmp_path / "scene.toml").write_text(write_blocks(entries))
     with pytest.raises(SceneError, match=f"scene.toml: {where}.*missing .* 'spring'; give it in parameters="):
         chain.build_chain(load_scene(tmp_path / "scene.toml"))
+
+
+def test_a_joint_to_a_third_body_is_told(tmp_path):
+    pile = str(BLOCKS.with_name("pile.py"))
+    (tmp_path / "scene.toml").write_text(write_blocks(source=pile))
+    (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
+    assert 'boundary "lid" holds curves of' in doubt and "a joint is between blade and disk, on joint;" in doubt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,21 +13,26 @@ from mpi4py import MPI
 
 from ewr_fenicsx.elasticity import assemble_structure, body_nodes, boundary_facets
 from ewr_fenicsx.errors import InterfaceError
-from ewr_fenicsx.interface import _pair_sides, _Side, pair_interface
+from ewr_fenicsx.interface import _pair_sides, _Side, doubt_boundaries, pair_interface
 from ewr_fenicsx.materials import TITANIUM
 from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.scene import load_scene
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 CORNERED = Path(__file__).parents[1] / "geometry" / "cornered.py"
+PILE = Path(__file__).parents[1] / "geometry" / "pile.py"
 BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
-FIR_TREE = Path(__file__).parents[2] / "geometry" / "fir_tree.py"
+ROOT = Path(__file__).parents[2]
+FIR_TREE = ROOT / "geometry" / "fir_tree.py"
+DEMOS = {scene.geometry.source.stem: scene for scene in map(load_scene, sorted((ROOT / "demos").glob("*.toml")))}
 ANGLE = 25.0
 NORMAL = np.array([np.sin(np.radians(ANGLE)), -np.cos(np.radians(ANGLE))])  # out of the blade, into the disk
 
 
 def assemble(source=TWO_BLOCKS, degree=1, **parameters):
     mesh = build_mesh(source, parameters, MPI.COMM_WORLD)
-    return assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM), thickness=0.02, degree=degree)
+    material = dict.fromkeys(mesh.bodies, TITANIUM)
+    return assemble_structure(mesh, materials=material, thickness=0.02, degree=degree, clamp=())
 
 
 def move(structure, **displacement):
@@ -230,3 +236,46 @@ def test_bodies_on_the_same_side_of_their_flank_are_refused(bodies):
     )
     with pytest.raises(InterfaceError, match=words):
         pair_interface(structure, body_a=bodies[0], body_b=bodies[1])
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-3])
+@pytest.mark.parametrize(
+    ("cover", "words"),
+    [
+        ("cover", "holds curves of .* which lie face to face .* make cover a part of disk; if they are glued"),
+        ("blade", "holds curves of two pieces of blade, .* make one of them a part of blade, the other of disk;"),
+        ("disk", "holds curves of .* and .*, .* name it in contact.flanks;"),
+    ],
+)
+def test_bodies_face_to_face_on_a_boundary_that_is_no_flank_are_told(cover, words, gap):
+    """The blade lifts off into its cover, and through it."""
+    (doubt,) = doubt_boundaries(assemble(PILE, cover=cover, gap=gap), ["joint"], "blade", "disk", ["clamp"])
+    assert re.search(f'boundary "lid" {words}', doubt), doubt
+
+
+@pytest.mark.parametrize(
+    ("source", "given"),
+    [
+        (PILE, {"glued": True}),
+        (PILE, {"held": True}),
+        (PILE, {"gap": 0.004}),
+        (PILE.with_name("flush_blocks.py"), {}),
+        (PILE.with_name("stacks.py"), {"stacks": 2, "loose": True}),
+        (PILE.with_name("shrouds.py"), {}),
+        (PILE.with_name("welded_fir_tree.py"), {}),
+        (BUSH, {}),
+        (CORNERED, {"flanks": 2}),
+        *((scene.geometry.source, scene.geometry.parameters) for scene in DEMOS.values()),
+    ],
+    ids=lambda given: getattr(given, "stem", ""),
+)
+def test_other_boundaries_raise_no_doubts(source, given):
+    """Those whose curves are flush, apart, glued or held; no scene of the gallery has a joint that is left out."""
+    structure = assemble(source, **given)
+    joint = {"flush_blocks": ["joint"], "shrouds": ["face"], "cornered": ["floor", "wall"], "bush": ["joint"]}
+    flanks, bodies = joint.get(source.stem, ["joint"]), list(structure.mesh.bodies)[:2]
+    if source.stem in DEMOS and source.parent == ROOT / "geometry":
+        contact = DEMOS[source.stem].contact
+        bodies = contact.body_a, contact.body_b
+        flanks = pair_interface(structure, contact.flanks, *bodies).flanks
+    assert list(doubt_boundaries(structure, flanks, *bodies, ["clamp"])) == []

@@ -1,0 +1,46 @@
+"""Three blocks, one on the other: disk, blade and a cover, whose own seat on the blade is the boundary "lid"."""
+
+from __future__ import annotations
+
+import gmsh
+
+
+def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, held: bool = False) -> None:
+    """Adds the blocks, their mesh and the groups disk, blade, joint, lid, tip and clamp to the current gmsh model.
+
+    Args:
+        cover: Name of the uppermost block's body.
+        glued: Whether it shares nodes with the blade.
+        gap: Between both [m].
+        held: Whether the lid is in the group "clamp" instead.
+    """
+    geo, width, height = gmsh.model.geo, 0.04, 0.02
+    groups: dict[tuple[int, str], list[int]] = {}
+
+    def level(y: float) -> list[int]:
+        return [geo.addPoint(0.0, y, 0.0), geo.addPoint(width, y, 0.0)]
+
+    def block(body: str, corners: list[int], below: int | None = None) -> list[int]:
+        lines = [geo.addLine(corners[k], corners[(k + 1) % 4]) for k in range(4) if k or below is None]
+        lines = lines if below is None else [-below, *lines]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        for line in lines:
+            geo.mesh.setTransfiniteCurve(abs(line), 6)
+        geo.mesh.setTransfiniteSurface(surface)
+        geo.mesh.setRecombine(2, surface)
+        groups.setdefault((2, body), []).append(surface)
+        return lines
+
+    ground, seat, root, neck, top = (level(k * height) for k in (0, 1, 1, 2, 3))
+    disk, blade = block("disk", [*ground, *seat[::-1]]), block("blade", [*root, *neck[::-1]])
+    if glued:
+        upper, lid = block(cover, [*neck, *top[::-1]], blade[2]), [blade[2]]
+    else:
+        upper = block(cover, [*level(2 * height + gap), *top[::-1]])
+        lid = [blade[2], upper[0]]
+    groups |= {(1, "joint"): [disk[2], blade[0]], (1, "tip"): [blade[1]], (1, "clamp"): [disk[0], upper[2]]}
+    groups.setdefault((1, "clamp" if held else "lid"), []).extend(lid)
+    geo.synchronize()
+    for (dimension, name), members in groups.items():
+        gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)
+    gmsh.model.mesh.generate(2)
