@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import dolfinx
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from ewr_fenicsx import _compat
 from ewr_fenicsx.chain import Chain
@@ -88,13 +89,28 @@ def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cel
 
 
 def measure_thinnest_body(chain: Chain) -> float:
-    """Shortest side of the boxes around the bodies [m]; collective."""
-    cells = gather_cells(chain)
-    thinnest = None
-    if cells is not None:
-        corners = [cells.corners[cells.body == body].reshape(-1, 2) for body in np.unique(cells.body)]
-        thinnest = min(float(np.ptp(points, axis=0).min()) for points in corners)
-    return chain.mesh.domain.comm.bcast(thinnest)
+    """Smallest width of a body in any direction, however the scene is turned [m]; collective."""
+    space, comm = chain.structure.space, chain.mesh.domain.comm
+    nodes = space.tabulate_dof_coordinates()[:, :2]
+    widths = []
+    for tag in chain.mesh.bodies.values():
+        mine = nodes[np.unique(_compat.cell_dofs(space, chain.mesh.cell_tags.find(tag)))]
+        widths.append(measure_width(np.concatenate(comm.allgather(mine[_find_hull(mine)]))))
+    return min(widths)
+
+
+def measure_width(points: RealArray) -> float:
+    """Smallest extent of points ``(n, 2)`` over all directions [m]: across a side of their convex hull.
+
+    Source: Houle & Toussaint (1988), doi:10.1109/34.6790.
+    """
+    hull = ConvexHull(points)
+    return float(np.ptp(points[hull.vertices] @ hull.equations[:, :2].T, axis=0).min())
+
+
+def _find_hull(points: RealArray) -> np.ndarray:
+    """Numbers of the points that are corners of the convex hull; none of none, as on a rank without the body."""
+    return ConvexHull(points).vertices if len(points) else np.empty(0, dtype=np.int32)
 
 
 def gather_boundary(chain: Chain, name: str) -> RealArray | None:

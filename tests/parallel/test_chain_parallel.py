@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import write_blocks
 
 from ewr_fenicsx.reduced_model import read_reduced_model
 
@@ -83,6 +84,24 @@ def test_a_corner_is_seen_on_any_number_of_ranks(mpirun, tmp_path):
         done = mpirun(ranks, "python", "-m", "mpi4py", script, CORNERED)
         told = [line for line in done.stdout.splitlines() if line.startswith('flank "seat" turns a corner of 90 deg')]
         assert len(told) == ranks and len(set(told)) == 1, done.stdout + done.stderr
+
+
+def test_ranks_tell_of_a_third_body_and_of_the_thinnest_as_one(mpirun, tmp_path):
+    script, scene = tmp_path / "script.py", tmp_path / "scene.toml"
+    scene.write_text(write_blocks(source=TWO_BLOCKS.with_name("pile.py")))
+    script.write_text(
+        "import sys\n"
+        "from mpi4py import MPI\n"
+        "from ewr_fenicsx import load_scene\n"
+        "from ewr_fenicsx.chain import build_chain\n"
+        "from ewr_fenicsx.gathering import measure_thinnest_body\n"
+        "chain = build_chain(load_scene(sys.argv[1], warn=False), MPI.COMM_WORLD)\n"
+        "told = MPI.COMM_WORLD.gather(f'{measure_thinnest_body(chain):.9f} {chain.doubts}')\n"
+        "print(*(told or []), sep='\\n', flush=True)\n"
+    )
+    done = mpirun(3, "python", "-m", "mpi4py", script, scene)
+    told = [line for line in done.stdout.splitlines() if line.startswith('0.020000000 (\'boundary "lid" holds')]
+    assert len(told) == 3 and len(set(told)) == 1, done.stdout + done.stderr
 
 
 def test_error_on_two_ranks_stops_both(mpirun, tmp_path):
