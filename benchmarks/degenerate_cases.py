@@ -52,7 +52,7 @@ def repeat_rows(model: ReducedModel, times: int | Sequence[int]) -> ReducedModel
         model,
         normal=np.repeat(model.normal, times, axis=0),
         tangential=np.repeat(model.tangential, times, axis=0),
-        pair_area=np.repeat(model.pair_area, times),
+        pair_area=None,
     )
 
 
