@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 from ewr_fenicsx.stability import find_side
@@ -165,11 +166,11 @@ def _find_tangent(balance_at: BalanceAt, unknowns: RealArray, parameter: float, 
 
     All along a branch that is the same direction, also round corners, unless another branch crosses it.
     """
-    balance = balance_at(parameter)
-    linear = balance.linearise(unknowns)
     try:
+        balance = balance_at(parameter)
+        linear = balance.linearise(unknowns)
         across = linear.solve(_differentiate(balance_at, linear, unknowns, parameter, span))
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, ModelError):  # the latter as in ``_correct``
         return None
     tangent = np.append(-across, 1.0) * find_side(balance, unknowns)
     norm = np.linalg.norm(tangent)
@@ -196,6 +197,16 @@ def _correct(
 
     With its own tangent, of either sign, where known, and the Newton steps taken.
     """
+    try:
+        return _iterate(balance_at, here, ahead, tangent, span, tolerance)
+    except ModelError:  # a trial hit a mode without damping exactly
+        return None, None, 1
+
+
+def _iterate(
+    balance_at: BalanceAt, here: BranchPoint, ahead: RealArray, tangent: RealArray, span: float, tolerance: float
+) -> tuple[BranchPoint | None, RealArray | None, int]:
+    """``_correct``, where every trial has a balance."""
     z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
     balance = balance_at(s)
     norm, onward = np.linalg.norm(balance.residual(z)), None

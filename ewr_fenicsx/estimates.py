@@ -21,12 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from reprlib import repr as shorten
 
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.dashpots import read_friction_weight
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.looking_ahead import approach, look_ahead, take_step
 from ewr_fenicsx.newton import solve
 from ewr_fenicsx.reduced_model import ReducedModel
@@ -131,13 +133,23 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure
     Args:
         solution, other: Of problems with the same frequency, pairs and outputs.
         figure: What is to be compared as well, by the largest difference over the largest value.
+
+    Raises:
+        ModelError: ``figure`` gives no finite numbers, or not as many for both.
     """
     orders = sorted({*solution.orders, *other.orders})
     here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
     distance = compare_responses(here, there, AT_REST * bound_response(other))
     if figure is None:
         return distance
-    here, there = figure(solution), figure(other)
+    if not all(np.isfinite(s.forces).all() for s in (solution, other)):
+        return np.inf
+    here, there = (read_numbers("what figure returns", figure(s)) for s in (solution, other))
+    if here.shape != there.shape or not (np.isfinite(here).all() and np.isfinite(there).all()):
+        raise ModelError(
+            f"figure returns {shorten(here)} and {shorten(there)}; give finite numbers, as many for every solution, "
+            "whatever its harmonics"
+        )
     largest = np.abs(there).max(initial=0.0)
     return max(distance, float(np.abs(here - there).max(initial=0.0) / largest) if largest else 0.0)
 

@@ -376,3 +376,19 @@ def test_a_neighbouring_problem_is_solved_closely_where_forces_are_small():
     """Beside the forces that would close all gaps. With 1e-5 of these left, nothing moved: an error of 0 was told."""
     posed = pose_case(Case("lap joint", 0.95, ("applied", 0.1), 0.6, 8, 0.005, "random", (1, 1)))
     assert 0.1 < estimates.estimate_at_once(solve(posed)).total < 1.0, "11 %, by time stepping"
+
+
+@pytest.mark.parametrize(
+    "figure, message",
+    [
+        (lambda s: np.array([np.nan]), "figure returns .*nan.*; give finite numbers"),
+        (lambda s: [np.inf], "give finite numbers"),
+        (lambda s: None, "what figure returns = None; give numbers"),
+        (lambda s: np.abs(s.output("tip")), "as many for every solution, whatever its harmonics"),
+    ],
+)
+def test_a_figure_that_says_nothing_is_refused(figure, message):
+    """NaN passed for accurate, and other lengths ended in numpy's words."""
+    laws = ContactLaws("prescribed", normal_force=0.7, friction=1.0)
+    with pytest.raises(ModelError, match=message):
+        solve_to_accuracy(ContactProblem(friction_oscillator(), laws, 0.12), 1e-3, figure=figure)

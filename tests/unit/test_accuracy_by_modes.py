@@ -32,6 +32,7 @@ def structure_with_modes(*stiffness: float) -> ReducedModel:
         tangential=grow(base.tangential),
         load={0: -20 * grow(base.normal).sum(axis=0), 1: 3 * load},
         outputs={"tip": load},
+        pair_area=np.ones(2),
         rigid_modes=None,
     )
 

@@ -364,6 +364,15 @@ def test_what_makes_no_sweep_is_refused_before_any_solve(arguments, message, mon
         sweep(**arguments)
 
 
+def test_a_sweep_across_a_mode_without_damping_keeps_what_it_finds():
+    """A trial of the continuation hit the mode exactly, and the sweep ended with an error."""
+    rubs = ContactLaws("prescribed", normal_force=1.0, friction=0.4)
+    frequencies = [0.14, 0.15, 1 / (2 * np.pi), 0.17]
+    curve = frequency_response(friction_oscillator(damping=0.0), rubs, frequencies, 5, False)
+    assert not curve.missing and {0.14, 0.15, 0.17} < set(curve.frequencies)
+    assert [jump.frequency[1] for jump in curve.jumps] == [1 / (2 * np.pi)]
+
+
 def test_breaks_of_a_curve_are_where_its_jumps_are():
     """Between the points that a jump names, or the first one beyond; each jump once, also where a curve runs back."""
     points = [SimpleNamespace(problem=SimpleNamespace(frequency=f)) for f in (1.0, 2.0, 3.0, 2.5, 2.0, 3.0, 5.0)]
