@@ -220,7 +220,7 @@ def test_another_run_takes_neither_the_folder_nor_the_work(ewr, scene, tmp_path,
     work, refused, kept = getattr(module, name), [], []
 
     def run_another(*given, **named):
-        monkeypatch.setattr(module, name, work)
+        patch.undo()
         before = sorted(tmp_path.rglob("*"))
         refused.extend([ewr(), ewr("--overwrite")])
         kept.append(sorted(tmp_path.rglob("*")) == before)
