@@ -241,7 +241,10 @@ def solve_to_accuracy(
     if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
         others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
         estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others)
-    seconds, reached = time.perf_counter() - begin, estimate.total <= accuracy
+    broken = solution.list_broken_symmetry()  # what it left out is in no estimate
+    if broken:
+        limit, remedy = broken[0], "give the law odd = False"
+    seconds, reached = time.perf_counter() - begin, estimate.total <= accuracy and not broken
     return AccurateSolution(solution, estimate, accuracy, reached, limit, tuple(levels), seconds, remedy)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from ewr_fenicsx.floquet import find_growth, grows, settles, tell_where_to
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
+from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
@@ -24,6 +25,7 @@ SETTLING, SETTLED = 8, 1e-8  # Newton steps to a solution next to this one, and 
 MISSED = 0.05  # share of the oscillating contact forces, at a harmonic that is not kept, that is worth a word
 FEW_MULTIPLES = 3  # of the loads' harmonics: with fewer, friction and taps are hardly seen
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
+TINY = np.finfo(float).tiny
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 
 
@@ -121,7 +123,8 @@ class PeriodicSolution(PeriodicMotion):
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
-        lines += self._list_few_multiples() + self._list_missing() + self.list_hit_modes()
+        lines += self._list_few_multiples() + self._list_missing()
+        lines += self.list_broken_symmetry() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
@@ -156,19 +159,35 @@ class PeriodicSolution(PeriodicMotion):
     def _list_missing(self) -> list[str]:
         """Where a list of harmonics lacks some, below its highest, at which the laws would have contact forces."""
         kept = {*self.orders, *self.left_out}
-        missing = [h for h in range(self.orders[-1]) if h not in kept]
-        if not missing or not self.problem.system.laws:
+        share, worst = self._find_unmet([h for h in range(self.orders[-1]) if h not in kept])
+        if not share > MISSED:
             return []
-        balance, wave = self._pose()[0], FourierBasis(tuple(missing), self.problem.basis.samples)
+        told = f"{share:.0%} of the oscillating contact forces at harmonic {worst}, which is not kept"
+        return [f"the laws would have {told}: add it, or give the highest harmonic as a number to keep all up to there"]
+
+    def list_broken_symmetry(self) -> list[str]:
+        """Where a law of one's own is said to be odd, and would have contact forces that its symmetry left out."""
+        kinds = [kind for _, laws in self.problem.groups for kind in laws.kinds]
+        own = dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind))
+        share, worst = self._find_unmet(self.left_out if own else ())
+        if not share > MISSED:
+            return []
+        told = f"{share:.0%} of the oscillating contact forces at harmonic {worst}, which was left out by symmetry"
+        return [
+            f"the laws would have {told}: is odd = True right of {', '.join(own)}, and blind_to_mean, if it says so?"
+        ]
+
+    def _find_unmet(self, harmonics: Sequence[int]) -> tuple[float, int]:
+        """What the laws ask for at harmonics without forces, over all oscillating forces: the largest, and where."""
+        if not harmonics or not self.problem.system.laws or not np.any(self.forces):
+            return 0.0, 0
+        balance, wave = self._pose()[0], FourierBasis(tuple(harmonics), self.problem.basis.samples)
         seen = balance.sample(self.forces, balance.compliance.motion(self.forces, self.rigid))
         unmet = [law.evaluate(motion).residual for law, motion in zip(self.problem.system.laws, seen, strict=True)]
         size = np.linalg.norm(wave.to_amplitudes(wave.project(np.hstack(unmet))), axis=1)
-        share = size / np.linalg.norm([*size, np.linalg.norm(self.forces[np.array(self.orders) > 0])])
+        share = size / max(np.linalg.norm([*size, np.linalg.norm(self.forces[np.array(self.orders) > 0])]), TINY)
         worst = int(np.argmax(share))
-        if not share[worst] > MISSED:
-            return []
-        told = f"{share[worst]:.0%} of the oscillating contact forces at harmonic {missing[worst]}, which is not kept"
-        return [f"the laws would have {told}: add it, or give the highest harmonic as a number to keep all up to there"]
+        return float(share[worst]), harmonics[worst]
 
     def list_hit_modes(self) -> list[str]:
         """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""

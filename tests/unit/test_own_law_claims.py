@@ -1,0 +1,85 @@
+"""What a law of one's own says of itself, or leaves out, and what is made of it: symmetry, sliding, stability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from small_models import friction_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
+
+
+@register_law("tangential", "claimed spring")
+@dataclass(frozen=True, eq=False)
+class ClaimedSpring(LawKind):
+    """A spring along the pair with terms of all powers, said to be odd [N/m, N/m^2, N/m^3]."""
+
+    linear: float = 1.0
+    square: float = 0.0
+    cubic: float = 0.0
+    histories: ClassVar[tuple[str, ...]] = ("friction_force", "slip")
+    odd: ClassVar[bool] = True
+
+    def acts_in(self, tangents: int) -> tuple[str, ...]:
+        return ("tangential",)
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        return (PowerSpring(group.pairs, self.linear, self.square, self.cubic),)
+
+
+@register_law("tangential", "honest spring")
+@dataclass(frozen=True, eq=False)
+class HonestSpring(ClaimedSpring):
+    """The same, not said to be odd."""
+
+    odd: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, eq=False)
+class PowerSpring(Law):
+    pairs: np.ndarray
+    slope: float
+    square: float
+    cubic: float
+    direction: str = "tangential"
+
+    def evaluate(self, motion: Motion) -> Response:
+        x = motion.displacement["tangential"]
+        return Response(
+            motion.force["tangential"] + self.slope * x + self.square * x**2 + self.cubic * x**3,
+            (
+                Partial("force", "tangential", np.ones_like(x)),
+                Partial("displacement", "tangential", self.slope + 2 * self.square * x + 3 * self.cubic * x**2),
+            ),
+        )
+
+
+def spring_along(name: str, load: float = 1.0, **powers: float) -> ContactProblem:
+    laws = ContactLaws("prescribed", name, normal_force=0.0, parameters=powers)
+    return ContactProblem(friction_oscillator(damping=0.1, load={1: load}), laws, 0.13, 7)
+
+
+def test_a_law_that_is_said_to_be_odd_and_is_not_is_told():
+    """Its even harmonics are zero in the solution, and a quarter of the motion is not."""
+    claimed, honest = (solve(spring_along(name, square=0.5)) for name in ("claimed spring", "honest spring"))
+    assert claimed.left_out == (0, 2, 4, 6) and honest.left_out == ()
+    even = np.linalg.norm(honest.output("tip")[[0, 2]]) / abs(honest.output("tip")[1])
+    assert even > 0.2 and honest.cautions == ()
+    (told,) = claimed.cautions
+    assert "which was left out by symmetry: is odd = True right of ClaimedSpring" in told
+
+
+@pytest.mark.parametrize("load", [0.0, 1.0])
+def test_a_law_that_is_odd_as_it_says_goes_without_a_word(load):
+    solution = solve(spring_along("claimed spring", load, cubic=0.5))
+    assert solution.left_out and solution.cautions == ()
+
+
+def test_no_accuracy_is_reached_by_a_symmetry_that_is_not_there():
+    found = solve_to_accuracy(spring_along("claimed spring", square=0.5), 0.01)
+    assert not found.reached and "left out by symmetry" in found.limit
+    assert solve_to_accuracy(spring_along("claimed spring", cubic=0.5), 0.01).reached
