@@ -141,7 +141,8 @@ class PeriodicMotion:
         """Speed of sliding at every pair over one period, along both tangents in 3-D, ``(samples, K_c)`` [m/s].
 
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
-        add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing.
+        add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing. Where
+        no law says, pairs slide if their kind ``slides``, as in ``contact_state.classify_contact``, and else stick.
         Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend.
 
         Raises:
@@ -151,16 +152,16 @@ class PeriodicMotion:
         basis = FourierBasis(self.orders, stride * samples)
         velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
         slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
-        told = np.zeros(slips.shape[1], dtype=bool)
+        for pairs, laws in self.problem.groups:
+            slips[:, pairs] = any(kind.slides for kind in laws.kinds)
         for law, fields in self.law_fields(basis):
-            if "slipping" in fields:
-                slips[:, law.pairs] |= fields["slipping"]
-                told[law.pairs] = True
+            for name in {"slipping", "open"} & fields.keys():
+                slips[:, law.pairs] |= fields[name]
             if "surface_slip" in fields:
                 step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
                 velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
         speed = np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
-        return (speed * (slips | ~told))[::stride]
+        return (speed * slips)[::stride]
 
     def _find_stride(self, samples: int) -> int:
         """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""

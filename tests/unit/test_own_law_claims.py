@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from small_models import friction_oscillator
+from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
 
 
@@ -37,6 +38,14 @@ class HonestSpring(ClaimedSpring):
     """The same, not said to be odd."""
 
     odd: ClassVar[bool] = False
+
+
+@register_law("tangential", "slippery spring")
+@dataclass(frozen=True, eq=False)
+class SlipperySpring(ClaimedSpring):
+    """The same, said to slip."""
+
+    slides: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,3 +92,20 @@ def test_no_accuracy_is_reached_by_a_symmetry_that_is_not_there():
     found = solve_to_accuracy(spring_along("claimed spring", square=0.5), 0.01)
     assert not found.reached and "left out by symmetry" in found.limit
     assert solve_to_accuracy(spring_along("claimed spring", cubic=0.5), 0.01).reached
+
+
+@pytest.mark.parametrize("name, state", [("claimed spring", STICK), ("slippery spring", SLIP)])
+def test_a_law_that_says_nothing_of_slipping_slides_if_its_kind_does(name, state):
+    """What is stuck by its states has no sliding, and wears nothing; what is said to slide does."""
+    solution = solve(spring_along(name, cubic=0.5))
+    np.testing.assert_array_equal(classify_contact(solution, 64), state)
+    moved = np.abs(solution.history("slip_velocity")).mean() / solution.problem.frequency
+    assert moved > 1.0 and solution.merit["J_T"] == pytest.approx(moved * (state == SLIP))
+
+
+def test_a_pair_that_is_open_slides_whatever_its_friction_leaves_unsaid():
+    laws = ContactLaws(tangential="claimed spring", parameters={"linear": 0.01})
+    solution = solve(ContactProblem(lift_off_oscillator(excitation=4.0), laws, 0.16, 9))
+    is_open = classify_contact(solution, 256) == OPEN
+    np.testing.assert_array_equal(solution.sliding_speed(256) > 0, is_open)
+    assert 0.1 < is_open.mean() < 0.9
