@@ -45,6 +45,11 @@ RESOLVED = 8  # steps a period of the fastest mode that is stepped; with many mo
 DAMPED = 0.5  # damping force over elastic force at the highest frequency, from which on a mode does not bend at once
 
 
+def is_followed(derivative: Derivative) -> bool:
+    """Whether deviations see it: it is by one of ``VARIABLES``, at its own sample."""
+    return derivative.variable in VARIABLES and not derivative.remembers
+
+
 class Slope(NamedTuple):
     """Derivatives of some laws' rows that change status, one column each."""
 
@@ -69,7 +74,7 @@ class Slopes:
     @classmethod
     def of(cls, derivatives: tuple[Derivative, ...], rows: int) -> Slopes | None:
         """None where a derivative is by something else than ``VARIABLES``, or reaches back."""
-        if any(d.remembers or d.variable not in VARIABLES for d in derivatives):
+        if not all(map(is_followed, derivatives)):
             return None
         is_steady = np.ones(rows, dtype=bool)
         for d in derivatives:

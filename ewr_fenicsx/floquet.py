@@ -27,6 +27,7 @@ from ewr_fenicsx.deviations import (
     differentiate_along,
     differentiate_laws,
     follow_modes,
+    is_followed,
     step_deviations,
     watch_course,
 )
@@ -89,6 +90,26 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
         return found if found and is_borne_out(problem, coordinates) else 0.0
     except np.linalg.LinAlgError:
         return 0.0
+
+
+def list_unfollowed(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> dict[str, list[str]]:
+    """For want of what the largest multiplier is not looked for: law's name -> variables that it sees, or "its past".
+
+    Empty where no law sees any, and where no row changes status over the period, as at rest.
+
+    Args:
+        system, forces, rigid: As in ``find_growth``.
+    """
+    balance = HarmonicBalance(system, float(np.linalg.norm(forces)) or 1.0)
+    derivatives = balance.linearise(balance.pack(forces, rigid)).derivatives
+    if not any(np.any(d.changes) for d in derivatives):
+        return {}
+    owners = {row: type(law).__name__ for law, rows in zip(system.laws, balance.law_rows, strict=True) for row in rows}
+    unfollowed: dict[str, set[str]] = {}
+    for d in derivatives:
+        if not is_followed(d):
+            unfollowed.setdefault(owners[d.rows[0]], set()).add("its past" if d.remembers else d.variable)
+    return {name: sorted(seen) for name, seen in unfollowed.items()}
 
 
 def find_linear_growth(system: ContactSystem) -> complex:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ewr_fenicsx import indicators
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.floquet import find_growth, grows, settles, tell_where_to
+from ewr_fenicsx.floquet import find_growth, grows, list_unfollowed, settles, tell_where_to
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
@@ -137,7 +137,17 @@ class PeriodicSolution(PeriodicMotion):
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")
         elif self.unstable:
             lines.append(unstable)
-        return tuple(lines)
+        return tuple(lines + self._list_unfollowed())
+
+    def _list_unfollowed(self) -> list[str]:
+        """Where the largest multiplier is not looked for because of what a law of one's own sees."""
+        own = any(is_own(kind) for _, laws in self.problem.groups for kind in laws.kinds)
+        here = self._forgetful
+        if not own or not self.orders[-1] or not here.problem.system.laws or self.unstable:
+            return []
+        unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
+        told = "; ".join(f"{name} sees {' and '.join(seen)}" for name, seen in unfollowed.items())
+        return [f"stability is not looked at: {told}"] if told else []
 
     @cached_property
     def _swinging(self) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
 
@@ -67,6 +67,28 @@ class PowerSpring(Law):
         )
 
 
+@register_law("tangential", "lagging spring")
+@dataclass(frozen=True, eq=False)
+class LaggingSpring(ClaimedSpring):
+    """The same, whose force lags behind by what the law sees of its rate [s]."""
+
+    lag: float = 0.0
+
+    def build(self, group: PairGroup) -> tuple[Law, ...]:
+        return (SpringWithLag(group.pairs, self.linear, self.square, self.cubic, lag=self.lag),)
+
+
+@dataclass(frozen=True, eq=False)
+class SpringWithLag(PowerSpring):
+    lag: float = 0.0
+
+    def evaluate(self, motion: Motion) -> Response:
+        rate = motion.force_rate["tangential"]
+        residual, partials = super().evaluate(motion)
+        own = Partial("force_rate", "tangential", np.full_like(rate, self.lag))
+        return Response(residual + self.lag * rate, (*partials, own))
+
+
 def spring_along(name: str, load: float = 1.0, **powers: float) -> ContactProblem:
     laws = ContactLaws("prescribed", name, normal_force=0.0, parameters=powers)
     return ContactProblem(friction_oscillator(damping=0.1, load={1: load}), laws, 0.13, 7)
@@ -109,3 +131,33 @@ def test_a_pair_that_is_open_slides_whatever_its_friction_leaves_unsaid():
     is_open = classify_contact(solution, 256) == OPEN
     np.testing.assert_array_equal(solution.sliding_speed(256) > 0, is_open)
     assert 0.1 < is_open.mean() < 0.9
+
+
+UNSEEN = "stability is not looked at: SpringWithLag sees force_rate"
+
+
+@pytest.mark.parametrize("load, cubic, told", [(1.0, 0.5, (UNSEEN,)), (1.0, 0.0, ()), (0.0, 0.5, ())])
+def test_a_law_that_costs_the_look_at_stability_is_told_where_there_is_something_to_see(load, cubic, told):
+    """Not where all laws are linear, nor at rest; the same spring without a lag is looked at."""
+    assert solve(spring_along("lagging spring", load, cubic=cubic, lag=0.01)).cautions == told
+    assert solve(spring_along("claimed spring", load, cubic=cubic)).cautions == ()
+
+
+def test_one_such_law_costs_the_whole_joint_the_look():
+    """A mass that taps a springy stop, unstable by itself; a pair beside it that does next to nothing hides that."""
+    stiffness = [[1.6, -0.6, 0.0], [-0.6, 4.6, -3.0], [0.0, -3.0, 3.0]]
+    model = ReducedModel(
+        np.diag([1.0, 1.0, 0.0]), np.diag([0.01, 0.01, 0.0]), stiffness,
+        normal=[[0.0, 0.0, -1.0], [0.0, 0.0, 0.0]], tangential=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+        load={1: [0.0, 1.0, 0.0]}, outputs={},
+    )  # fmt: skip
+
+    def join(name: str, **parameters: float) -> ContactProblem:
+        beside = ContactLaws("prescribed", name, normal_force=0.0, parameters=parameters)
+        return ContactProblem(model, [([0], ContactLaws("unilateral", "frictionless")), ([1], beside)], 0.42, 15)
+
+    looked_at = solve(join("claimed spring", linear=1e-6))
+    assert looked_at.unstable and not any("not looked at" in line for line in looked_at.cautions)
+    lagging = solve(join("lagging spring", linear=1e-6, lag=0.01))
+    assert not lagging.unstable and lagging.cautions == (UNSEEN,)
+    assert UNSEEN in lagging.summary()
