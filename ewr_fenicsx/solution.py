@@ -142,9 +142,9 @@ class PeriodicSolution(PeriodicMotion):
     def _list_unfollowed(self) -> list[str]:
         """Where the largest multiplier is not looked for because of what a law of one's own sees."""
         own = any(is_own(kind) for _, laws in self.problem.groups for kind in laws.kinds)
-        here = self._forgetful
-        if not own or not self.orders[-1] or not here.problem.system.laws or self.unstable:
+        if not own or not self.orders[-1] or not self.problem.system.laws or self.unstable:
             return []
+        here = self._forgetful
         unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
         told = "; ".join(f"{name} sees {' and '.join(seen)}" for name, seen in unfollowed.items())
         return [f"stability is not looked at: {told}"] if told else []

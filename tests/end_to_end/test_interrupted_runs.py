@@ -11,6 +11,7 @@ from functools import partial
 
 import dolfinx
 import pytest
+from counted_calls import count_calls
 from small_scenes import write_blocks
 
 from ewr_fenicsx import cycle_jumps, frequency_sweep
@@ -46,40 +47,25 @@ def ewr(scene, tmp_path, capsys):
     return run
 
 
-def interrupt(monkeypatch, place: tuple, after: int) -> list:
-    """Calls of a function, which is interrupted where there have been so many."""
-    module, name = place
-    calls, work = [], getattr(module, name)
-
-    def count(*given, **named):
-        if len(calls) == after:
-            raise KeyboardInterrupt
-        calls.append(name)
-        return work(*given, **named)
-
-    monkeypatch.setattr(module, name, count)
-    return calls
-
-
 @pytest.mark.parametrize("study", STUDIES)
 def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
     asked, place, unbroken, table = STUDIES[study]
     scene.write_text(asked)
     done = unbroken // 2
     with monkeypatch.context() as patch:
-        assert len(interrupt(patch, place, done)) == 0
+        assert len(count_calls(patch, *place, done)) == 0
         code, told = ewr()
     partial = tmp_path / "broken.partial"
     assert code == 130 and not (tmp_path / "broken").exists()
     assert f"ewr: interrupted; the work so far is in {partial}, and the same command goes on from there" in told
     with monkeypatch.context() as patch:
-        calls = interrupt(patch, place, 1000)
+        calls = count_calls(patch, *place)
         code, told = ewr()
     assert code == 0 and f"ewr: going on with the work in {partial}" in told
     assert len(calls) == unbroken - done
     assert {path.name for path in tmp_path.iterdir()} == {"broken", "scene.toml"}, "the work is removed"
     with monkeypatch.context() as patch:
-        calls = interrupt(patch, place, 1000)
+        calls = count_calls(patch, *place)
         assert ewr(out="unbroken")[0] == 0
     assert len(calls) == unbroken
     assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
@@ -94,7 +80,7 @@ def test_work_of_another_scene_is_refused(ewr, scene, tmp_path, monkeypatch, stu
     asked, place, unbroken, _ = STUDIES[study]
     scene.write_text(asked)
     with monkeypatch.context() as patch:
-        interrupt(patch, place, unbroken // 2)
+        count_calls(patch, *place, unbroken // 2)
         assert ewr()[0] == 130
     scene.write_text(asked.replace(*change))
     code, told = ewr()
@@ -109,7 +95,7 @@ def test_work_begun_on_more_ranks_says_how_to_go_on(ewr, scene, tmp_path, monkey
     asked, place, unbroken, _ = STUDIES["sweep"]
     scene.write_text(asked)
     with monkeypatch.context() as patch:
-        interrupt(patch, place, unbroken // 2)
+        count_calls(patch, *place, unbroken // 2)
         assert ewr()[0] == 130
     partial = tmp_path / "broken.partial"
     assert (partial / "ranks.txt").read_text() == "1\n"
@@ -131,7 +117,7 @@ def test_work_of_another_kind_of_study_is_refused(ewr, scene, tmp_path, monkeypa
     asked, place, unbroken, _ = STUDIES[study]
     scene.write_text(asked)
     with monkeypatch.context() as patch:
-        interrupt(patch, place, unbroken // 2)
+        count_calls(patch, *place, unbroken // 2)
         assert ewr()[0] == 130
     partial = tmp_path / "broken.partial"
     kept = {path: path.read_bytes() for path in partial.rglob("*.h5")}
@@ -159,7 +145,7 @@ def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
     assert told.endswith(f"; the work so far is in {partial}, and the same command goes on from there")
     assert {path.name for path in tmp_path.iterdir()} == {"broken.partial", "scene.toml"}
     with monkeypatch.context() as patch:
-        calls = interrupt(patch, place, 1000)
+        calls = count_calls(patch, *place)
         code, told = ewr()
     assert code == 0 and len(calls) == 0 and f"ewr: going on with the work in {partial}" in told
     assert ewr(out="unbroken")[0] == 0
@@ -190,7 +176,7 @@ def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, s
     asked, place, _, _ = STUDIES["sweep"]
     scene.write_text(asked)
     with monkeypatch.context() as patch:
-        interrupt(patch, place, 0)
+        count_calls(patch, *place, 0)
         code, told = ewr()
     assert code == 130 and told.endswith("ewr: interrupted\n")
     assert {path.name for path in tmp_path.iterdir()} == {"scene.toml"}

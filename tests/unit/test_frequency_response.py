@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from mpi4py import MPI
 from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
@@ -150,16 +151,9 @@ def test_what_was_found_of_stability_is_what_is_read(tmp_path):
 
 
 def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch):
-    whole, solve_block, begun = sweep(), frequency_sweep._solve_block, []
-
-    def interrupted(follower, block, state):
-        if len(begun) == 1:
-            raise KeyboardInterrupt
-        begun.append(block.number)
-        return solve_block(follower, block, state)
-
-    monkeypatch.setattr(frequency_sweep, "_solve_block", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    whole, solve_block = sweep(), frequency_sweep._solve_block
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, frequency_sweep, "_solve_block", 1)
         sweep(folder=tmp_path)
     assert len(list((tmp_path / "blocks").iterdir())) == 1
     assert not (tmp_path / "frequency_response.h5").exists()
@@ -180,20 +174,6 @@ def start_late(problem, **settings):
     if problem.frequency < 0.15:
         raise NotConverged("as if", best=found)
     return found
-
-
-def count_calls(patch, module, name, most=10**6):
-    """The times at which a function is called; the one beyond ``most`` is where the run is interrupted."""
-    calls, work = [], getattr(module, name)
-
-    def count(*given, **named):
-        if len(calls) == most:
-            raise KeyboardInterrupt
-        calls.append(name)
-        return work(*given, **named)
-
-    patch.setattr(module, name, count)
-    return calls
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from small_models import dovetail, winkler_punch
 
 from ewr_fenicsx import (
@@ -381,18 +382,9 @@ def test_harmonics_are_raised_when_a_worn_joint_needs_more(tmp_path, monkeypatch
     assert (whole.estimates <= 0.1).all()
     assert (np.diff(whole.depth, axis=0) >= 0).all()
 
-    steps, advance = [], cycle_jumps.WearRun.advance
-
-    def break_off(run, state):
-        if len(steps) == 5:
-            raise KeyboardInterrupt
-        steps.append(state)
-        return advance(run, state)
-
-    monkeypatch.setattr(cycle_jumps.WearRun, "advance", break_off)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, cycle_jumps.WearRun, "advance", 5)
         wear_to_a_tenth(file=tmp_path / "broken.h5")
-    monkeypatch.setattr(cycle_jumps.WearRun, "advance", advance)
     resumed = wear_to_a_tenth(file=tmp_path / "broken.h5")
     assert [s.orders[-1] for s in resumed.solutions] == tops
     assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
