@@ -19,7 +19,7 @@ from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
-from ewr_fenicsx.law_kinds import spread_over_pairs
+from ewr_fenicsx.law_kinds import is_own, spread_over_pairs
 from ewr_fenicsx.reduced_model import ReducedModel, check_loads
 
 LOWEST_FREQUENCY, HIGHEST_FREQUENCY = 1e-100, 1e100  # [Hz] powers of them must stay numbers
@@ -162,6 +162,12 @@ class ContactProblem:
                 f"[{', '.join(f'{pair:g}' for pair in covered)}]"
             )
         return tuple((pairs.astype(int), laws) for pairs, laws in groups)
+
+    @property
+    def own_kinds(self) -> tuple[str, ...]:
+        """Names of the kinds among its laws that are not the package's, each once."""
+        kinds = [kind for _, laws in self.groups for kind in laws.kinds]
+        return tuple(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind)))
 
     @cached_property
     def clearance(self) -> RealArray:

@@ -30,7 +30,6 @@ from ewr_fenicsx.ladder import (
     trace_damping,
     trace_load,
 )
-from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
@@ -195,8 +194,7 @@ def list_remedies(best: PeriodicSolution) -> str:
             f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
             "this; or allow a larger tolerance"
         )
-    kinds = [kind for _, laws in problem.groups for kind in laws.kinds]
-    own = ", ".join(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind)))
+    own = ", ".join(problem.own_kinds)
     if own and not np.isfinite(residual):
         return f". Laws return infinities or NaN: look at {own}"
     if hit := best.list_hit_modes():

@@ -14,7 +14,6 @@ from ewr_fenicsx.floquet import find_growth, grows, list_unfollowed, settles, te
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
-from ewr_fenicsx.law_kinds import is_own
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
@@ -141,8 +140,8 @@ class PeriodicSolution(PeriodicMotion):
 
     def _list_unfollowed(self) -> list[str]:
         """Where the largest multiplier is not looked for because of what a law of one's own sees."""
-        own = any(is_own(kind) for _, laws in self.problem.groups for kind in laws.kinds)
-        if not own or not self.orders[-1] or not self.problem.system.laws or self.unstable:
+        looked_at = self.orders[-1] and self.problem.system.laws and not self.unstable
+        if not (self.problem.own_kinds and looked_at):
             return []
         here = self._forgetful
         unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
@@ -177,8 +176,7 @@ class PeriodicSolution(PeriodicMotion):
 
     def list_broken_symmetry(self) -> list[str]:
         """Where a law of one's own is said to be odd, and would have contact forces that its symmetry left out."""
-        kinds = [kind for _, laws in self.problem.groups for kind in laws.kinds]
-        own = dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind))
+        own = self.problem.own_kinds
         share, worst = self._find_unmet(self.left_out if own else ())
         if not share > MISSED:
             return []
