@@ -165,9 +165,13 @@ class NormalModes:
         impedance = self.stiffness - omega**2 * self.mass + 1j * omega * self.damping
         responds = impedance != 0
         if np.any(hit := ~responds & (omega != 0)):
-            frequency = np.broadcast_to(omega, hit.shape)[hit][0] / (2 * np.pi)
-            raise ModelError(f"{frequency:g} Hz hits an undamped mode exactly; give the model some damping")
+            raise hit_undamped_mode(np.broadcast_to(omega, hit.shape)[hit][0])
         return np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
+
+
+def hit_undamped_mode(omega: float) -> ModelError:
+    """What is wrong where nothing limits the response at a frequency [rad/s]."""
+    return ModelError(f"{omega / (2 * np.pi):g} Hz hits an undamped mode exactly; give the model some damping")
 
 
 @lru_cache(maxsize=8)
@@ -229,7 +233,10 @@ def receptance(
         if omega == 0:
             return read(solve_static(model, forces, generalised_inverse))
         impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
-        return read(scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True))
+        try:
+            return read(scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True))
+        except np.linalg.LinAlgError:
+            raise hit_undamped_mode(omega) from None
     return superpose(read(modes.shapes), modes.gain(omega), modes.shapes.T @ forces)
 
 

@@ -220,3 +220,14 @@ def test_without_rows_all_coordinates_are_read(omega, coupled):
     forces = np.arange(18.0).reshape(9, 2) + 1j
     expected = receptance(model, omega, np.eye(9), forces)
     np.testing.assert_allclose(receptance(model, omega, None, forces), expected, rtol=1e-12)
+
+
+def test_an_undamped_mode_that_is_hit_exactly_is_named_where_damping_couples_the_others():
+    """It was an error of linear algebra, which said nothing of a frequency."""
+    stiffness = [[200.0, -100.0, 0.0], [-100.0, 300.0, 0.0], [0.0, 0.0, 64.0]]
+    model = ReducedModel(
+        mass=np.eye(3), damping=np.diag([5.0, 0.0, 0.0]), stiffness=stiffness, normal=[[1.0, 0.0, 0.0]]
+    )
+    assert find_normal_modes(model) is None
+    with pytest.raises(ModelError, match=r"1\.27324 Hz hits an undamped mode exactly; give the model some damping"):
+        condense(model, model.normal, {}, 8.0, (0, 1))
