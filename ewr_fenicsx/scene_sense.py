@@ -149,9 +149,9 @@ def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str
 
 
 def can_wear(laws: Contact) -> bool:
-    """Whether the bodies press, part and rub there: what wear needs, and what it changes."""
-    tangential = find_kind("tangential", laws.tangential)
-    return find_kind("normal", laws.normal).opens and "slip" in tangential.histories and not tangential.slides
+    """Whether the bodies press, part and slide there, with friction or without: what wear needs, and what it changes."""
+    slides = "slip" in find_kind("tangential", laws.tangential).histories
+    return find_kind("normal", laws.normal).opens and slides
 
 
 def _doubt_units(scene: Scene) -> Iterator[str]:
@@ -306,14 +306,14 @@ def _check_wear(scene: Scene) -> Iterator[str]:
         elif own.wear and not can_wear(laws := scene.laws_on(name)):
             yield (
                 f'flanks.{name}.wear = {own.wear:g}: with normal = "{laws.normal}", tangential = "{laws.tangential}" '
-                f'nothing rubs and opens there; remove it, or set normal = "unilateral" and tangential = "coulomb"'
+                f'nothing slides and opens there; remove it, or set normal = "unilateral" and tangential = "coulomb"'
             )
     if scene.wear is None:
         return
     if not any(can_wear(laws) for laws in laws_in_force(scene).values()):
         where, laws = next(iter(laws_in_force(scene).items()))
         yield (
-            f'wear without friction on a contact that opens: {where} has normal = "{laws.normal}" and tangential = '
+            f'wear without a contact that slides and opens: {where} has normal = "{laws.normal}" and tangential = '
             f'"{laws.tangential}", so that no gap would grow; remove [wear], or set normal = "unilateral" and '
             'tangential = "coulomb"'
         )

@@ -54,6 +54,8 @@ def test_wear_coefficients_by_flank(read):
     scene = read(SCENE + wear + "[flanks.left]\ntangential = 'bonded'\n[flanks.top]\nwear = 5e-11\n")
     np.testing.assert_array_equal(spread_wear(scene, JOINT), [0, 0, 2e-11, 2e-11, 2e-11, 5e-11])
     np.testing.assert_array_equal(spread_wear(read(SCENE), JOINT), np.zeros(6))
+    smooth = read(SCENE + wear + "[flanks.left]\ntangential = 'frictionless'\n")
+    np.testing.assert_array_equal(spread_wear(smooth, JOINT), np.full(6, 2e-11))  # what slides wears
     none = read(SCENE + wear + "[flanks.right]\nwear = 0\n")
     np.testing.assert_array_equal(spread_wear(none, JOINT), [2e-11, 2e-11, 0, 0, 0, 2e-11])
 
@@ -82,14 +84,14 @@ def test_a_static_scene_needs_no_frequency(read):
     ("text", "expected"),
     [
         (
-            SCENE + "[wear]\n[contact]\ntangential = 'frictionless'",
-            'wear without friction on a contact that opens: contact has normal = "unilateral" and tangential = '
-            '"frictionless"',
+            SCENE + "[wear]\n[contact]\ntangential = 'bonded'",
+            'wear without a contact that slides and opens: contact has normal = "unilateral" and tangential = '
+            '"bonded"',
         ),
         (SCENE + "[wear]\n[contact]\nnormal = 'bonded'\ntangential = 'bonded'", "remove [wear], or set normal"),
         (
             SCENE + "[wear]\n[flanks.left]\ntangential = 'bonded'\nwear = 1e-11",
-            'flanks.left.wear = 1e-11: with normal = "unilateral", tangential = "bonded" nothing rubs and opens there',
+            'flanks.left.wear = 1e-11: with normal = "unilateral", tangential = "bonded" nothing slides and opens there',
         ),
         (SCENE + "[flanks.left]\nwear = 1e-11", "flanks.left.wear = 1e-11: nothing wears without [wear]"),
         (HEAD + PULL + "[wear]\n", "wear, and no load oscillates: nothing slides; was harmonic = 1 meant"),
