@@ -30,7 +30,11 @@ from ewr_fenicsx.whole_files import replace_file
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
-ROUNDINGS = 10  # roundings, times the number of coordinates, below which an eigenvalue of the scaled stiffness is zero
+ROUNDINGS = 10  # roundings, times the number of coordinates, that a projection leaves of an entry that is zero
+_EPS = float(np.finfo(float).eps)
+# Roundings of the largest eigenvalue of the scaled stiffness, at least and from so many coordinates on as many, below
+# which one is zero; and times that, below which nobody can tell.
+_ROUNDED, _DOUBTFUL = 100, 100
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDIES = {  # what to do about complex ones
     "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at its frequency",
@@ -74,6 +78,7 @@ class ReducedModel:
 
     def __post_init__(self) -> None:
         freeze = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        precision = find_precision(self.stiffness)
         freeze("stiffness", _matrix("stiffness", self.stiffness))
         n = self.stiffness.shape[0]
         if self.stiffness.shape[1] != n:
@@ -116,9 +121,9 @@ class ReducedModel:
                 raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
         freeze("load", check_loads(self.load, n))
         outputs = _mapping("outputs", self.outputs, '{"tip": row}')
-        freeze("outputs", {str(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()})
+        freeze("outputs", {_name(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()})
         if self.rigid_modes is None:
-            freeze("rigid_modes", find_rigid_modes(self.stiffness))
+            freeze("rigid_modes", find_rigid_modes(self.stiffness, precision))
         else:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
@@ -232,20 +237,50 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
     return {read_harmonic("load", h): _load(h, f, size) for h, f in given.items()}
 
 
-def find_rigid_modes(stiffness: RealArray) -> RealArray:
+def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray:
     """Basis ``(n, r)`` of the null space of a positive semidefinite stiffness, orthonormal after diagonal scaling.
 
+    Rounding of its entries leaves rigid motions a few times itself, whatever ``n``. A slender or locally refined body
+    that is held may come within a hundred times that, and so may one that floats and has lost digits: which of the two
+    it is, the stiffness does not tell.
+
+    Args:
+        stiffness: ``(n, n)``.
+        precision: Relative rounding of its entries.
+
     Raises:
-        ModelError: The stiffness has a negative eigenvalue beyond rounding.
+        ModelError: The stiffness has a negative eigenvalue beyond rounding, or one that rounding may have made or not.
     """
     n, scale = stiffness.shape[0], 1 / _own_units(stiffness)
     values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
-    rounding = 100 * n * np.finfo(float).eps * max(values[-1], 1e-300)
-    if values[0] < -1e3 * rounding:
+    values = values / max(np.abs(values).max(), 1e-300)
+    rounding = _count_rounding(n) * _EPS
+    doubtful = max(_DOUBTFUL * rounding, _count_rounding(n) * precision)
+    unsure = (np.abs(values) > rounding) & (np.abs(values) < doubtful)
+    if np.any(unsure):
+        lost = " is in single precision, and" if precision > _EPS else ""
         raise ModelError(
-            f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly"
+            f"the stiffness{lost} resists {np.count_nonzero(unsure)} motions by no more than rounding may make: "
+            f"{np.abs(values[unsure]).min():.1g} of the most, where lost digits leave up to {doubtful:.1g}. Say whether "
+            f"a body floats: rigid_modes=np.zeros(({n}, 0)) if all are held, or its rigid modes as columns"
         )
-    return scale[:, None] * vectors[:, values < rounding]
+    if values[0] < -doubtful:
+        raise ModelError(
+            f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly, "
+            "or whether its entries have lost digits, as in a file of few: then give rigid_modes"
+        )
+    return scale[:, None] * vectors[:, values <= rounding]
+
+
+def find_precision(matrix: object) -> float:
+    """Relative rounding of the entries of a matrix as it is given, before it is read."""
+    kind = np.dtype(getattr(matrix, "dtype", float))
+    return float(max(_EPS, np.finfo(kind).eps)) if kind.kind in "fc" else _EPS
+
+
+def _count_rounding(size: int) -> int:
+    """Roundings of the largest eigenvalue that the smallest ones may have: of a matrix ``(size, size)``."""
+    return max(_ROUNDED, size)
 
 
 def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
@@ -283,6 +318,13 @@ def _mapping(name: str, value: object, example: str) -> Mapping:
     if not isinstance(value, Mapping):
         raise ModelError(f"{name} = {shorten(value)}; give a dictionary such as {example}")
     return value
+
+
+def _name(name: object) -> str:
+    """An output's name, as files can hold it."""
+    if (text := str(name)) in ("", ".") or "\0" in text:
+        raise ModelError(f"outputs[{name!r}]: results go to files under that name, which none can have; give another")
+    return text
 
 
 def _load(h, amplitude, size: int) -> ComplexArray:
@@ -361,15 +403,19 @@ def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
     """That the stiffness resists what is no rigid mode: another Cholesky factorisation."""
     n, root = stiffness.shape[0], _own_units(stiffness)
     apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
-    resisted = stiffness / root[:, None] / root + apart @ apart.T
+    scaled = stiffness / root[:, None] / root
+    resisted = scaled + apart @ apart.T
+    rounding = _count_rounding(n) * _EPS
     try:
-        np.linalg.cholesky(resisted - ROUNDINGS * n * np.finfo(float).eps * np.eye(n))
+        np.linalg.cholesky(resisted - _DOUBTFUL * rounding * np.eye(n))
         complete = True
-    except np.linalg.LinAlgError:
-        complete = False
+    except np.linalg.LinAlgError:  # eigenvalues tell what is near rounding apart from it
+        values = np.linalg.eigvalsh(resisted)
+        complete = values[0] > rounding * values[-1]
     if not complete or apart.shape[1] < modes.shape[1]:
+        values = np.linalg.eigvalsh(scaled)
         raise ModelError(
             f"rigid_modes has {modes.shape[1]} columns, {apart.shape[1]} of them independent, and the stiffness leaves "
-            f"{find_rigid_modes(stiffness).shape[1]} motions free; give one for each of these, or None to have them "
-            "found"
+            f"{np.count_nonzero(values <= rounding * values[-1])} motions free; give one for each of these, or None to "
+            "have them found"
         )

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
 
 from ewr_fenicsx import ReducedModel
+from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
 from ewr_fenicsx.layout import hold
 from ewr_fenicsx.reduced_model import find_rigid_modes
@@ -74,6 +75,9 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"load": {0.5: [1.0, 0.0]}}, "harmonic 0.5; harmonics are whole numbers from 0"),
         ({"load": {1: [np.inf, 0.0]}}, r"load\[1\] has entries that are not finite"),
         ({"outputs": {"tip": [1.0]}}, r"outputs\['tip'\] has 1 entries; expected 2"),
+        ({"outputs": {"": [1.0, 0.0]}}, r"outputs\[''\]: results go to files under that name, which none can have"),
+        ({"outputs": {".": [1.0, 0.0]}}, "results go to files under that name"),
+        ({"outputs": {"a\0b": [1.0, 0.0]}}, "results go to files under that name"),
         ({"rigid_modes": [[1.0], [0.0]]}, r"rigid_modes\[:, 0\] meets elastic forces of 1 of the stiffness"),
     ],
 )
@@ -247,6 +251,61 @@ def test_as_many_rigid_modes_as_the_stiffness_lacks_in_rank(count, seed, exponen
 def test_a_weak_spring_to_the_ground_still_holds(ground, modes):
     """Ten orders of magnitude softer than the body is elastic; what rounding leaves is not."""
     assert find_rigid_modes(np.array([[1.0 + ground, -1.0], [-1.0, 1.0]])).shape == (2, modes)
+
+
+BENDING = 175.0  # stiffness of a beam's section [N m^2]
+
+
+def bend(lengths: np.ndarray) -> np.ndarray:
+    """Stiffness of a slender free beam of elements of these lengths [m]: deflection and rotation of each node."""
+    stiffness = np.zeros((2 * (len(lengths) + 1),) * 2)
+    for k, h in enumerate(lengths):
+        at = slice(2 * k, 2 * k + 4)
+        curved = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]]
+        curved += [[-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+        stiffness[at, at] += BENDING / h**3 * np.array(curved)
+    return stiffness
+
+
+def describe(stiffness: np.ndarray) -> dict[str, np.ndarray]:
+    """A model of a beam with contact at its last node."""
+    size = len(stiffness)
+    return {"mass": np.eye(size), "damping": np.eye(size), "stiffness": stiffness, "normal": np.eye(size)[-2:-1]}
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    [np.concatenate([np.full(50, 0.02), np.full(5, h)]) for h in (5e-4, 2e-4)] + [np.full(400, 2.5e-3)],
+    ids=["fine at its tip", "finer", "400 elements"],
+)
+def test_a_slender_beam_that_is_clamped_is_never_taken_for_a_floating_one(lengths):
+    """Its softest motion resists by little more than rounding: whoever knows is asked, and believed."""
+    beam = describe(bend(lengths)[2:, 2:])
+    size = len(beam["stiffness"])
+    with pytest.raises(ModelError, match=rf"resists 1 motions by no more than rounding.*np.zeros\(\({size}, 0\)\)"):
+        ReducedModel(**beam)
+    held = ReducedModel(**beam, rigid_modes=np.zeros((size, 0)))
+    flexibility = condense(held, held.normal, {}, 0.0, (0,)).flexibility[0, 0, 0].real
+    assert flexibility == pytest.approx(lengths.sum() ** 3 / (3 * BENDING), rel=1e-4)
+
+
+@pytest.mark.parametrize("elements", [50, 400])
+def test_a_beam_that_floats_is_seen_however_many_elements_it_has(elements):
+    assert ReducedModel(**describe(bend(np.full(elements, 1.0 / elements)))).rigid_modes.shape[1] == 2
+
+
+def test_single_precision_does_not_tell_a_floating_body_from_a_soft_one():
+    """Its rounding held a floating chain by a spring of 1e-8 of its own stiffness, and the chain swung out 200 m."""
+    stretch = np.diff(np.eye(6), axis=0)
+    chain = stretch.T @ np.diag(np.random.default_rng(0).uniform(1e6, 3e6, 5)) @ stretch
+    whole = describe(chain)
+    single = whole | {"stiffness": chain.astype(np.float32)}
+    assert ReducedModel(**whole).rigid_modes.shape[1] == 1
+    for stiffness in (single["stiffness"], scipy.sparse.csr_matrix(single["stiffness"])):
+        with pytest.raises(ModelError, match="the stiffness is in single precision, and resists 1 motions"):
+            ReducedModel(**single | {"stiffness": stiffness})
+    given = ReducedModel(**single, rigid_modes=np.ones((6, 1)))
+    assert given.rigid_modes.shape[1] == 1
 
 
 def test_rigid_modes_found_between_coordinates_of_unlike_units():
