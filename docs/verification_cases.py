@@ -20,9 +20,11 @@ import test_den_hartog as den_hartog  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
 import test_hertz as hertz  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
+import test_rebound as rebound  # noqa: E402
 import test_reduction as reduction  # noqa: E402
 import test_time_integration as stepping  # noqa: E402
 import test_varying_normal_load as varying  # noqa: E402
+import test_wear as wear  # noqa: E402
 
 ORDER = 31  # of the closed forms
 
@@ -55,7 +57,9 @@ def rub(beta: float, friction: float) -> Iterator[Row]:
     den_hartog.rub.cache_clear()
     solution, exact = den_hartog.rub(beta, friction, ORDER), den_hartog.exact_amplitude(beta, friction)
     yield compare("amplitude", exact, den_hartog.largest_slip(solution))
-    yield compare("friction force, first harmonic", 4 * friction / np.pi, abs(solution.forces[0, 0]))
+    for name, m in (("first", 1), ("third", 3), ("fifth", 5)):
+        found = abs(solution.forces[solution.orders.index(m), 0])
+        yield compare(f"friction force, {name} harmonic", 4 * friction / (m * np.pi), found)
     yield compare("friction work a cycle", 4 * friction * exact, solution.merit["friction_dissipation"])
 
 
@@ -64,6 +68,11 @@ def rub_with_inertia(beta: float, friction: float) -> Iterator[Row]:
     solution, exact = den_hartog.rub_with_inertia(beta, friction, ORDER), den_hartog.exact_amplitude(beta, friction)
     yield compare("amplitude", exact, den_hartog.largest_slip(solution))
     yield compare("sliding a cycle", 4 * exact, solution.merit["J_T"])
+
+
+def begin_to_stop(beta: float, boundary: float) -> Iterator[Row]:
+    """Largest friction at which the dry oscillator, closed by its mass, does not stop within the period."""
+    yield compare("largest x_f / a without stops", boundary, den_hartog.find_boundary(beta, boundary))
 
 
 def drive_jenkins(amplitude: float) -> Iterator[Row]:
@@ -92,6 +101,15 @@ def press_bar(highest: int) -> Iterator[Row]:
     yield compare("mean contact force", bar.MEAN, solution.forces[0, 0].real)
     yield bound("gap over the period, rms", gap)
     yield bound("contact force over the period, rms", force)
+
+
+def strike_stop(frequency: float, guess: tuple[float, float]) -> Iterator[Row]:
+    """Mean and first harmonic of a mass that hits a stop, and what two sets of harmonics extrapolate to."""
+    exact = 1e6 * rebound.find_impacting_motion(frequency, 1.0, guess)
+    few, more = (1e6 * rebound.balance_rebound(frequency, n) for n in (20, 40))
+    for name, found in (("N = 40", more), ("N to infinity, from 20 and 40", 2 * more - few)):
+        yield compare(f"mean position [µm], {name}", exact[0].real, found[0].real)
+        yield compare(f"first harmonic [µm], {name}", abs(exact[1]), abs(found[1]))
 
 
 def press_cylinder(pairs: int) -> Iterator[Row]:
@@ -214,6 +232,31 @@ def step_bar() -> Iterator[Row]:
     yield compare("duration of contact", 2, dt * np.sum(impulse > 0.5 * dt))
 
 
+def wear_evenly() -> Iterator[Row]:
+    """Depth and volume that a flat punch loses, cycle by cycle."""
+    cycles = 50
+    history, exact = wear.evolve_wear(wear.punch(), cycles, wear.COEFFICIENT), wear.exact_depth(cycles)
+    yield compare("depth [nm]", 1e9 * exact, 1e9 * history.depth[-1].max())
+    yield compare("volume [mm3]", 1e9 * exact * wear.AREA * wear.PAIRS, 1e9 * history.total_volume[-1])
+
+
+def wear_crown(cycles: int, jump: wear.Tolerance | None, exact: float) -> Iterator[Row]:
+    """What a rounded punch still has of its first differences of pressure."""
+    history = wear.evolve_wear(wear.punch(wear.CROWN), cycles, wear.COEFFICIENT, jump, keep_every=100)
+    yield compare(f"differences of pressure left, {history.solves} solves", exact, wear.differences_left(history)[-1])
+
+
+def limit_jumps() -> Iterator[Row]:
+    """Longest stable explicit jump, and what jumps on either side of it do to differences of the wear rate."""
+    solution = wear.solve(wear.punch(wear.CROWN))
+    stiffness = wear.find_wear_stiffness(solution, np.full(wear.PAIRS, wear.COEFFICIENT))
+    yield compare("longest stable jump, cycles", 2 / wear.DECAY, wear.find_explicit_limit(stiffness))
+    for share in (0.9, 1.1):
+        differences = wear.jump_by_euler(share)
+        factor = np.vdot(differences[-2], differences[-1]) / np.vdot(differences[-2], differences[-2])
+        yield compare(f"factor of differences a jump, at {share} of it", 1 - 2 * share, factor)
+
+
 Case = tuple[str, Callable[..., Iterator[Row]], tuple]
 SECTIONS: dict[str, list[Case]] = {
     "Harmonic balance against closed forms": [
@@ -224,6 +267,10 @@ SECTIONS: dict[str, list[Case]] = {
         *(
             (f"Den Hartog, beta = {beta}, x_f / a = {share}, closed by the mass", rub_with_inertia, (beta, share))
             for beta, share, *_ in den_hartog.TABLE
+        ),
+        *(
+            (f"Den Hartog, beta = {beta}, where stops begin, closed by the mass", begin_to_stop, (beta, boundary))
+            for beta, boundary in dict((row[0], row[3]) for row in den_hartog.TABLE).items()
         ),
         *((f"Jenkins element, X = {amplitude}", drive_jenkins, (amplitude,)) for amplitude in jenkins.AMPLITUDES[1:]),
         *(
@@ -236,8 +283,25 @@ SECTIONS: dict[str, list[Case]] = {
             for kind in ("resolved", "zero")
         ),
         *((f"Bar pressed on a wall, N = {n}", press_bar, (n,)) for n in (5, 9, 17, 33)),
+        *(
+            (f"Mass that hits a stop at {frequency:g} Hz, nothing lost", strike_stop, (frequency, guess))
+            for frequency, guess, _ in rebound.CASES
+        ),
         *((f"Hertz, {pairs} pairs", press_cylinder, (pairs,)) for pairs in (24, 96)),
         *((f"Cattaneo and Mindlin, {p} pairs, N = {n}", rub_cylinder, (p, n)) for p, n in ((24, 15), (48, 31))),
+    ],
+    "Wear against closed forms": [
+        ("Uniform pressure and slip, 50 cycles", wear_evenly, ()),
+        ("Winkler foundation, 400 cycles one by one", wear_crown, (400, None, (1 - wear.DECAY) ** 400)),
+        *(
+            (
+                f"Winkler foundation, 5000 cycles in {'damped' if damped else 'explicit'} jumps",
+                wear_crown,
+                (5000, wear.Tolerance(share=1e-3, damped=damped), np.exp(-5000 * wear.DECAY)),
+            )
+            for damped in (True, False)
+        ),
+        ("Winkler foundation, both sides of the explicit limit", limit_jumps, ()),
     ],
     "Finite elements and reduction": [
         ("Cantilever, quadratic elements", bend_beam, ()),
@@ -258,7 +322,11 @@ SECTIONS: dict[str, list[Case]] = {
 NOTES = {
     "Harmonic balance against closed forms": f"""N = {ORDER} where the case does not say. The reference under a varying
 normal load is a fine time integration of its own, in the test; there `static_friction = "zero"`, the paper's, is off by
-the whole mean friction force whatever N, and `"resolved"` converges.""",
+the whole mean friction force whatever N, and `"resolved"` converges. A mass that hits a stop tends to the motion that
+loses nothing as slowly as `1/N`.""",
+    "Wear against closed forms": """A rigid punch on a Winkler foundation. Single cycles leave `1 - 4 k_w k X` of
+the pressure's differences each, short jumps `exp(-4 k_w k X)` a cycle; explicit jumps beyond their limit turn them and
+make them grow.""",
     "Time stepping against closed forms": """First order where velocities jump: these errors are of the size of one step
 or one element.""",
 }

@@ -25,6 +25,7 @@ from scipy.optimize import minimize_scalar
 from small_models import friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.contact_state import STICK, classify_contact
 from ewr_fenicsx.solution import PeriodicSolution
 
 # beta, F, amplitude, largest F without stops, error allowed at N = 31 (measured: 0.25, 1.65, 0.11 and 0.10 %)
@@ -168,6 +169,21 @@ def share_at_rest(beta: float, friction: float) -> float:
 def test_the_mass_stops_beyond_the_boundary_and_not_before(beta, boundary):
     assert share_at_rest(beta, 0.9 * boundary) < 0.009
     assert share_at_rest(beta, 1.2 * boundary) > 0.09
+
+
+def find_boundary(beta: float, exact: float) -> float:
+    """Largest friction at which no sample rests, by bisection within a tenth of the exact one."""
+    low, high = 0.9 * exact, 1.1 * exact
+    while high - low > 5e-4 * exact:
+        middle = 0.5 * (low + high)
+        rests = np.any(classify_contact(rub_with_inertia(beta, middle, 31), 4096) == STICK)
+        low, high = (low, middle) if rests else (middle, high)
+    return 0.5 * (low + high)
+
+
+@pytest.mark.parametrize("beta, boundary", [(0.8, 0.81742), (1.25, 0.69882), (0.6, 0.53153)])
+def test_a_mass_that_closes_the_truncation_begins_to_stop_at_the_boundary(beta, boundary):
+    assert find_boundary(beta, boundary) == pytest.approx(boundary, rel=2e-3)
 
 
 @pytest.mark.parametrize("beta, friction", [(0.8, 1.05), (0.6, 1.01), (1.25, 1.3)])
