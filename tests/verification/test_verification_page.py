@@ -55,15 +55,40 @@ def test_blade_root_tip_is_within_the_target_at_the_highest_order():
             assert abs(float(last[3])) < 0.3 and abs(float(last[4])) < 0.3, (name, last)
 
 
-@pytest.mark.parametrize(
-    "case",
-    [case for case in page.SECTIONS["Harmonic balance against closed forms"] if case[0].startswith(("Den", "Jen"))],
-)
-def test_figures_are_those_of_todays_code(case):
+LONG = ("Mass that hits a stop",)  # seconds each
+ROUNDING = 1e-6  # errors below this are rounding, whose digits are the machine's own
+# How far figures may be from the printed ones: printing rounds them, rounding decides at which step a mass in time
+# stepping turns and at which a bisection, and gmsh's versions mesh the fir tree differently.
+DIGITS, STEP, MESH = 2e-5, 1e-3, 1e-2
+
+
+def read_error(cell: str) -> float:
+    """The last cell but one of a row, as a share."""
+    return float(cell.removesuffix(" %")) / 100 if cell.endswith(" %") else float(cell)
+
+
+def list_quick_cases() -> list:
+    """Title, case, and how far its figures may be off."""
+    listed = []
+    for title, cases in page.SECTIONS.items():
+        for case in (case for case in cases if not case[0].startswith(LONG)):
+            allowed = STEP if title.startswith("Time stepping") or "where stops begin" in case[0] else DIGITS
+            allowed = MESH if case[0].startswith("Fir tree") else allowed
+            listed.append(pytest.param(title, case, allowed, id=case[0]))
+    return listed
+
+
+@pytest.mark.parametrize("title, case, allowed", list_quick_cases())
+def test_figures_are_those_of_todays_code(title, case, allowed):
     """The quick cases once more: the same quantities, and figures as printed but for rounding."""
-    rows = [row for row in read_tables()["Harmonic balance against closed forms"][1:] if row[0] == case[0]]
+    rows = [row for row in read_tables()[title][1:] if row[0] == case[0]]
     found = page.measure_case(case)
     assert [row[1] for row in rows] == [row[1] for row in found], AGAIN
-    for printed, row in zip(rows, found, strict=True):
-        assert float(printed[2]) == pytest.approx(row[2], rel=1e-5), AGAIN
-        assert float(printed[3]) == pytest.approx(row[3], rel=2e-5), AGAIN
+    for (_, quantity, exact, ours, error, _), row in zip(rows, found, strict=True):
+        if row[2] is None:
+            assert exact == ours == "", AGAIN
+            digits = max(0.1, 20 * allowed)  # two are printed
+            assert read_error(error) == pytest.approx(read_error(row[4]), rel=digits, abs=ROUNDING), (quantity, AGAIN)
+        else:
+            assert float(exact) == pytest.approx(row[2], rel=allowed), (quantity, AGAIN)
+            assert float(ours) == pytest.approx(row[3], rel=allowed, abs=1e-12), (quantity, AGAIN)
