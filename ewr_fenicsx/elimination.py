@@ -214,7 +214,7 @@ def _gather(
     for d in derivatives:
         pick = np.flatnonzero(place[d.rows] >= 0)
         at, columns = place[d.rows[pick]], d.columns[pick]
-        value = np.outer(rate**d.rates, d.values[0, pick])
+        value = np.outer(rate**d.rates, d.constant[pick])
         if d.by_force:
             A[:, at, columns] += value
             continue

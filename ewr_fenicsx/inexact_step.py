@@ -70,7 +70,8 @@ class _Uncoupled:
         self.count = self.low.basis.coefficients
         right = np.zeros(self.low.size)
         self.factors = Factorisation(NewtonStep(self.low, step.derivatives, right), right)
-        mean = tuple(replace(d, values=d.values.mean(axis=0, keepdims=True)) for d in step.derivatives)
+        means = ((d, d.values.mean(axis=0, keepdims=True)) for d in step.derivatives)
+        mean = tuple(replace(d, values=values, since=None, kept=None) for d, values in means)
         self.inverse = invert_steady(self.high, mean, np.arange(balance.rows))
 
     def _restrict(self, orders: tuple[int, ...]) -> HarmonicBalance:

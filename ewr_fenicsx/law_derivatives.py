@@ -58,6 +58,11 @@ class Derivative:
             return np.any(self.values != 0, axis=0)
         return np.any(self.values != self.values[0], axis=0)
 
+    @property
+    def constant(self) -> RealArray:
+        """``(K,)`` its value where it does not change: none where it reaches back, but to nothing."""
+        return np.zeros(self.rows.size) if self.remembers else self.values[0]
+
 
 @dataclass(frozen=True, eq=False)
 class ProjectedDerivative:

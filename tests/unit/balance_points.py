@@ -37,6 +37,7 @@ LAWS: dict[str, ContactLaws | list] = {  # every combination that has unknowns
     "free in a group": [([0, 2], ContactLaws(tangential="frictionless")), ([1], ContactLaws(friction=0.5))],
 }
 SPRINGS = ", springs"  # close the truncation of the same laws
+FLEXIBILITY = [0.2, 0.3, 0.25]  # of these springs [m/N]; given, for pairs of this structure move too little to be sprung
 SPRUNG = ("unilateral coulomb", "bonded coulomb, mean zero", "varying coulomb", "varying coulomb, mean zero", "groups")
 LAWS |= {name + SPRINGS: LAWS[name] for name in SPRUNG}
 
@@ -59,9 +60,10 @@ class Point:
 def prepare(kind: str, state: str, harmonics=3, samples: int | None = None, seed: int = 0) -> Point:
     """Loads chosen so that chosen forces go with chosen motions: every row is then in the state asked for."""
     model = random_structure(size=10)
-    closure = "spring" if kind.endswith(SPRINGS) else "dashpot"
+    closure = FLEXIBILITY if kind.endswith(SPRINGS) else "dashpot"
     problem = ContactProblem(model, LAWS[kind], FREQUENCY, harmonics, samples, closure=closure)
     system = problem.system
+    assert (system.closures == ("springs",)) == kind.endswith(SPRINGS)
     rng = np.random.default_rng(seed)
     orders, m = system.basis.orders, system.rows.shape[0]
     ripple = lambda size: (rng.normal(size=(len(orders), m)) + 1j * rng.normal(size=(len(orders), m))) * size  # noqa: E731
