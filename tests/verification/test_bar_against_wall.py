@@ -14,11 +14,16 @@ Rates: in the root mean square, the Fourier sum of a force that jumps errs like 
 velocity jumps like N^(-3/2). The force is that of the truncated law, so the gap is a little worse than its own
 Fourier sum.
 
+Without the dashpot nothing is absorbed, and the end's compliance is ``-cot(omega) / omega``: with poles and zeros at
+any order, so that more harmonics need not be more accurate. That is a case for stability; where ``cot`` vanishes at the
+first harmonic, the end's first harmonic is known, whatever the contact does.
+
 Source: d'Alembert's solution, derived here.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,6 +32,7 @@ from scipy.optimize import brentq
 from small_models import bar_against_wall
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.solution import PeriodicSolution
 
 MEAN, RIPPLE, OMEGA, SAMPLES = 1.0, 1.8, 0.7, 4096
@@ -110,3 +116,62 @@ def test_lift_off_lasts_as_long_as_it_should():
     opened = np.mean(press(33).history("gap", SAMPLES)[:, 0] > 0.02)
     assert opened == pytest.approx(np.mean(gap > 0.02), abs=0.01)
     assert 0.2 < opened < 0.8
+
+
+def pose_undamped(omega: float, highest: int) -> ContactProblem:
+    model = bar_against_wall(elements=60, mean=MEAN, amplitude=RIPPLE)
+    model = replace(model, damping=np.zeros_like(model.damping))
+    return ContactProblem(model, ContactLaws(tangential="frictionless"), omega / (2 * np.pi), highest, 64 * highest)
+
+
+@lru_cache
+def press_undamped(omega: float, highest: int) -> PeriodicSolution:
+    return solve(pose_undamped(omega, highest))
+
+
+def find_swing(solution: PeriodicSolution) -> float:
+    """Amplitude of the end's first harmonic."""
+    return abs(solution.output("contact_end")[1])
+
+
+def test_without_the_dashpot_the_compliance_is_a_cotangent():
+    """Of the test itself: to what the mesh leaves, at 60 elements to the bar."""
+    omega = 1.0 * np.arange(1, 6)
+    found = pose_undamped(1.0, 5).system.compliance.flexibility[1:, 0, 0]
+    np.testing.assert_allclose(found, -1 / (omega * np.tan(omega)), rtol=6e-3)
+
+
+@pytest.mark.parametrize("highest", [3, 5, 7, 9, 13, 17])
+@pytest.mark.parametrize(
+    "omega, allowed",
+    [
+        (0.7, 0.015),
+        (1.0, 0.007),
+        (2.0, 0.015),
+        (1.01 * np.pi / 3, 0.011),  # the third harmonic next to a pole, then on it but for 1e-4
+        ((1 + 1e-4) * np.pi / 3, 0.01),
+        ((1 + 1e-3) * np.pi / 5, 0.027),
+    ],
+)
+def test_an_undamped_bar_is_solved_however_close_a_harmonic_is_to_a_pole(omega, allowed, highest):
+    """The end swings as with 33 harmonics within 0.7 to 2.7 %."""
+    solution = press_undamped(omega, highest)
+    balance = HarmonicBalance(solution.problem.system)
+    assert np.linalg.norm(balance.residual(balance.pack(solution.forces, solution.rigid))) <= 1e-8
+    assert all(np.isfinite(solution.history(name)).all() for name in ("gap", "normal_force"))
+    assert solution.forces[0, 0] == pytest.approx(MEAN, abs=1e-8)
+    assert find_swing(solution) == pytest.approx(find_swing(press_undamped(omega, 33)), rel=allowed)
+
+
+def test_more_harmonics_need_not_be_more_accurate_without_damping():
+    """Measured: the largest gap with 3, 5 and 33 harmonics is 4.95, 5.20 and 4.95."""
+    few, more, many = (press_undamped(1.01 * np.pi / 3, n).history("gap").max() for n in (3, 5, 33))
+    assert abs(more - many) > 10 * abs(few - many)
+
+
+@pytest.mark.parametrize("highest", [3, 5, 9, 17])
+def test_where_the_end_does_not_yield_at_the_first_harmonic_its_swing_is_the_free_one(highest):
+    """``cot(pi / 2) = 0``: the load alone moves the end, by ``Q / (omega sin(omega))``."""
+    solution = press_undamped(np.pi / 2, highest)
+    assert solution.history("gap").max() > 2.0, "it lifts off"
+    assert find_swing(solution) == pytest.approx(RIPPLE / (np.pi / 2), rel=2e-4)
