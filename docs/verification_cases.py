@@ -17,12 +17,14 @@ sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/verification")]
 
 import test_bar_against_wall as bar  # noqa: E402
 import test_den_hartog as den_hartog  # noqa: E402
+import test_den_hartog_resonances as resonances  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
 import test_hertz as hertz  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
 import test_rebound as rebound  # noqa: E402
 import test_reduction as reduction  # noqa: E402
 import test_time_integration as stepping  # noqa: E402
+import test_two_rubbing_modes as modes  # noqa: E402
 import test_varying_normal_load as varying  # noqa: E402
 import test_wear as wear  # noqa: E402
 
@@ -75,6 +77,21 @@ def begin_to_stop(beta: float, boundary: float) -> Iterator[Row]:
     yield compare("largest x_f / a without stops", boundary, den_hartog.find_boundary(beta, boundary))
 
 
+def rub_near_a_fraction(beta: float, friction: float, second: complex) -> Iterator[Row]:
+    """Amplitude of the dry oscillator where its closed form degenerates."""
+    solution = resonances.solve_and_check(resonances.pose(beta, friction, second))
+    yield compare("amplitude", den_hartog.exact_amplitude(beta, friction), resonances.find_amplitude(solution))
+
+
+def rub_beside_a_mode(beta: float) -> Iterator[Row]:
+    """First harmonics of two masses by few harmonics, against time stepping."""
+    modes.step.cache_clear()
+    for closure, name in (("mass", "mass"), ("dashpot", "dashpots")):
+        for kept in ((1, 3), (1, 3, 5)):
+            error = modes.find_error(beta, kept, closure)
+            yield bound(f"first harmonics, of {' '.join(map(str, kept))} closed by {name}", error)
+
+
 def drive_jenkins(amplitude: float) -> Iterator[Row]:
     """Work a cycle and equivalent stiffness of the Jenkins element."""
     jenkins.drive.cache_clear()
@@ -101,6 +118,13 @@ def press_bar(highest: int) -> Iterator[Row]:
     yield compare("mean contact force", bar.MEAN, solution.forces[0, 0].real)
     yield bound("gap over the period, rms", gap)
     yield bound("contact force over the period, rms", force)
+
+
+def press_undamped_bar(highest: int) -> Iterator[Row]:
+    """Swing of the end of the bar without its dashpot, where no contact force moves the end at the first harmonic."""
+    bar.press_undamped.cache_clear()
+    solution = bar.press_undamped(np.pi / 2, highest)
+    yield compare("swing of the end", bar.RIPPLE / (np.pi / 2), bar.find_swing(solution))
 
 
 def strike_stop(frequency: float, guess: tuple[float, float]) -> Iterator[Row]:
@@ -272,6 +296,12 @@ SECTIONS: dict[str, list[Case]] = {
             (f"Den Hartog, beta = {beta}, where stops begin, closed by the mass", begin_to_stop, (beta, boundary))
             for beta, boundary in dict((row[0], row[3]) for row in den_hartog.TABLE).items()
         ),
+        ("Den Hartog, beta = 0.5 + 1e-9, x_f / a = 0.1, asymmetric", rub_near_a_fraction, (0.5 + 1e-9, 0.1, 1e-9)),
+        ("Den Hartog, beta = 1/3 + 0.001, x_f / a = 0.002", rub_near_a_fraction, (1 / 3 + 1e-3, 0.002, 0.0)),
+        *(
+            (f"Two masses, third harmonic near the second mode, beta = {beta}", rub_beside_a_mode, (beta,))
+            for beta in modes.DRIVEN
+        ),
         *((f"Jenkins element, X = {amplitude}", drive_jenkins, (amplitude,)) for amplitude in jenkins.AMPLITUDES[1:]),
         *(
             (
@@ -283,6 +313,7 @@ SECTIONS: dict[str, list[Case]] = {
             for kind in ("resolved", "zero")
         ),
         *((f"Bar pressed on a wall, N = {n}", press_bar, (n,)) for n in (5, 9, 17, 33)),
+        *((f"Undamped bar on a wall, quarter waves, N = {n}", press_undamped_bar, (n,)) for n in (5, 17)),
         *(
             (f"Mass that hits a stop at {frequency:g} Hz, nothing lost", strike_stop, (frequency, guess))
             for frequency, guess, _ in rebound.CASES
@@ -320,8 +351,9 @@ SECTIONS: dict[str, list[Case]] = {
     ],
 }
 NOTES = {
-    "Harmonic balance against closed forms": f"""N = {ORDER} where the case does not say. The reference under a varying
-normal load is a fine time integration of its own, in the test; there `static_friction = "zero"`, the paper's, is off by
+    "Harmonic balance against closed forms": f"""N = {ORDER} where the case does not say, and 15 where Den Hartog's
+form degenerates: motions without stops are a continuum at beta = 1/2, and vanish at 1/3. Two masses are held against time
+stepping. The reference under a varying normal load is a fine time integration of its own, in the test; there `static_friction = "zero"`, the paper's, is off by
 the whole mean friction force whatever N, and `"resolved"` converges. A mass that hits a stop tends to the motion that
 loses nothing as slowly as `1/N`.""",
     "Wear against closed forms": """A rigid punch on a Winkler foundation. Single cycles leave `1 - 4 k_w k X` of
