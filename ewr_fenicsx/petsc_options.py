@@ -8,6 +8,19 @@ from ewr_fenicsx.errors import OptionError
 
 _SOLVERS = ((PETSc.SNES, "ewr_"), (PETSc.KSP, "ewr_inexact_"))  # that take options, and their prefixes
 
+# What PETSc takes and then fails with in the midst of the work, or what ends it in contradictions: name -> remedy
+_TOLERANCE = "solver.tolerance in the scene decides where Newton's method ends"
+_MATRIX = "the Newton matrix is exact; leave the option out, or compare it with differences by -ewr_snes_test_jacobian"
+_REMEDIES = {f"ewr_snes_{name}": _TOLERANCE for name in ("atol", "rtol", "stol")}
+_REMEDIES |= {f"ewr_snes_{name}": _MATRIX for name in ("mf", "mf_operator", "fd", "fd_color")}
+# Kinds that work: on a dense matrix on one process, or on one that is a product only
+_NEWTON = ("newtonls", "newtontr", "newtontrdc", "vinewtonrsls", "vinewtonssls", "ksponly", "python")
+_KINDS = {
+    "ewr_pc_type": ("lu", "qr", "svd", "none", "bjacobi", "gasm", "ilu", "jacobi", "ksp", "mat", "redundant"),
+    "ewr_inexact_pc_type": ("none", "mat"),
+    "ewr_snes_type": (*_NEWTON, "anderson", "fas", "ms", "ncg", "ngmres", "nrichardson", "qn"),
+}
+
 
 def check_options() -> None:
     """Has solvers with the package's prefixes take their options, and throws them away.
@@ -15,7 +28,7 @@ def check_options() -> None:
     Options that they take still count as asked for by nobody, until a solver of the work does.
 
     Raises:
-        OptionError: PETSc refuses one.
+        OptionError: PETSc refuses one, or it is known not to work here.
     """
     options, given = PETSc.Options(), _list_options()
     try:
@@ -32,6 +45,21 @@ def check_options() -> None:
         for name, value in given.items():
             options.delValue(name)
             options.setValue(name, value)
+    for name, value in given.items():
+        _check_option(name, value)
+
+
+def _check_option(name: str, value: str | None) -> None:
+    """Refuses an option that PETSc takes and that does not work with the package's solvers.
+
+    Raises:
+        OptionError: With what to do instead.
+    """
+    if name in _REMEDIES:
+        raise OptionError(f"-{name} does not work here: {_REMEDIES[name]}")
+    if name in _KINDS and value not in _KINDS[name]:
+        known = ", ".join(_KINDS[name])
+        raise OptionError(f"-{name} {value} does not work here; choose one of {known}, or leave it out")
 
 
 def _list_options() -> dict[str, str | None]:

@@ -8,9 +8,13 @@ import subprocess
 import sys
 
 import pytest
+from petsc4py import PETSc
+from small_models import PROBLEMS
 from small_scenes import BLOCKS, write_blocks
 
+from ewr_fenicsx import solve
 from ewr_fenicsx.cli import main, parse_arguments
+from ewr_fenicsx.petsc_options import check_options
 
 MIXED_CELLS = '''
 import gmsh
@@ -51,6 +55,15 @@ def ewr(tmp_path, monkeypatch, capsys):
         return message
 
     return run
+
+
+@pytest.fixture
+def petsc_options():
+    """Options as on a command line, gone after the test."""
+    options, before = PETSc.Options(), PETSc.Options().getAll()
+    yield options.insertString
+    for name in set(options.getAll()) - set(before):
+        options.delValue(name)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +231,41 @@ def test_an_option_that_petsc_refuses_is_told_before_the_work(tmp_path, given, w
         rf"ewr: PETSc refuses an option: .*{re.escape(why)}.*; options given: {given}\n", done.stderr
     ), done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("-ewr_snes_mf", "-ewr_snes_mf does not work here: the Newton matrix is exact"),
+        ("-ewr_snes_fd", "-ewr_snes_fd does not work here: the Newton matrix is exact"),
+        ("-ewr_snes_atol 1e-3", "-ewr_snes_atol does not work here: solver.tolerance in the scene decides"),
+        ("-ewr_snes_monitor -ewr_pc_type gamg", "-ewr_pc_type gamg does not work here; choose one of lu, qr, "),
+        ("-ewr_inexact_pc_type lu", "-ewr_inexact_pc_type lu does not work here; choose one of none, mat, or leave it"),
+        ("-ewr_snes_type shell", "-ewr_snes_type shell does not work here; choose one of newtonls, newtontr, "),
+    ],
+)
+def test_an_option_that_would_fail_in_the_midst_of_the_work_is_refused_before(ewr, petsc_options, given, told):
+    petsc_options(given)
+    message = ewr()
+    assert message.startswith(f"ewr: {told}") and message.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "-ewr_snes_monitor -ewr_snes_view -ewr_ksp_view",
+        "-ewr_snes_test_jacobian",
+        "-ewr_snes_type newtonls -ewr_snes_linesearch_type bt",
+        "-ewr_snes_type newtontr",
+        "-ewr_pc_type lu",
+        "-ewr_pc_type none -ewr_ksp_type gmres -ewr_ksp_rtol 1e-12 -ewr_ksp_gmres_restart 300",
+        "-ewr_snes_max_it 30",
+    ],
+)
+def test_options_that_work_are_taken(petsc_options, given):
+    petsc_options(given)
+    check_options()
+    assert solve(PROBLEMS["floating, slip"]).converged
 
 
 def test_options_that_were_only_checked_still_count_as_not_taken(tmp_path):
