@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from ewr_fenicsx.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, LOADS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+SCRIPT, READER, LOADS, ACCURACY, TRANSIENT = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 def to_scipy(matrix):
@@ -106,10 +107,37 @@ def test_what_the_page_names_exists():
     assert linked == headings
 
 
-def test_a_damper_pressed_harder_than_best_damps_less(capsys, monkeypatch):
+def run_at_home(script: str, monkeypatch) -> dict:
+    """Names that a script leaves, run where its scenes are."""
     monkeypatch.chdir(ROOT)
-    exec(compile(LOADS.replace("800.0, 31)", "800.0, 7)"), "docs/how_to.md", "exec"), {})
+    names: dict = {}
+    exec(compile(script, "docs/how_to.md", "exec"), names)
+    return names
+
+
+def test_a_damper_pressed_harder_than_best_damps_less(capsys, monkeypatch):
+    run_at_home(LOADS.replace("800.0, 31)", "800.0, 7)"), monkeypatch)
     told = re.findall(r"^(\d+) N: peak ([.\d]+) mm at [.\d]+ Hz$", capsys.readouterr().out, flags=re.MULTILINE)
     assert [force for force, _ in told] == ["100", "300", "1000"]
     peaks = [float(peak) for _, peak in told]
     assert peaks == sorted(peaks) and peaks[-1] > 2 * peaks[0]
+
+
+def test_an_accuracy_is_reached_and_told(capsys, monkeypatch):
+    names = run_at_home(ACCURACY, monkeypatch)
+    assert re.match(r"estimated error 0\.00\d+ of 0\.01 asked", capsys.readouterr().out)
+    assert names["found"].reached and names["found"].limit == ""
+    exact = abs(solve(replace(names["problem"], harmonics=31)).output("tip")[1])
+    assert abs(names["solution"].output("tip")[1]) == pytest.approx(exact, rel=0.01)
+
+
+def test_a_transient_overshoots_and_settles_where_the_harmonic_solution_is(capsys, monkeypatch):
+    names = run_at_home(TRANSIENT, monkeypatch)
+    tip, swing, periods = names["tip"], names["swing"], names["periods"]
+    assert tip[0] == pytest.approx(tip[1], abs=1e-2 * swing.max()), "it begins at rest"
+    assert names["seconds"][-1] == pytest.approx(periods / names["problem"].frequency)
+    assert swing[0] < 0.3 * swing[-1] and swing.max() > 1.02 * swing[-1]
+    steady = abs(solve(replace(names["problem"], harmonics=15)).output("tip")[1])
+    assert swing[-1] == pytest.approx(steady, rel=0.02)
+    told = rf"most: 0\.\d+ mm after {swing.argmax() + 1} periods; in the end 0\.\d+ mm"
+    assert re.match(told, capsys.readouterr().out)
