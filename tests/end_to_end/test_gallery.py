@@ -196,8 +196,10 @@ def test_choose_your_effects_runs_and_its_assertions_hold():
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    table = done.stdout[done.stdout.index("effects ") :].splitlines()
-    assert len(table) == 11 and table[1].split()[:2] == ["bonded", "0"]
+    effects, harmonics = (part.splitlines() for part in done.stdout[done.stdout.index("effects ") :].split("\n\n"))
+    assert len(effects) == 11 and effects[1].split()[:2] == ["bonded", "0"]
+    unknowns, errors = ([float(line.split()[at]) for line in harmonics[1:4]] for at in (-3, -1))
+    assert unknowns[0] > unknowns[1] == unknowns[2] and all(0 < error < 1 for error in errors)
 
 
 @pytest.mark.parametrize(
