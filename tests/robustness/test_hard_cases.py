@@ -351,12 +351,24 @@ def test_a_stiff_pair_weighs_no_more_than_a_soft_one():
     assert np.all(np.isfinite(forces)) and forces[0].real == pytest.approx(np.full(8, forces[0, 0].real), rel=0.5)
 
 
-@pytest.mark.parametrize("pairs", [10, pytest.param(1000, marks=pytest.mark.slow)])
-def test_identical_pairs_act_as_one(pairs):
+def test_preloads_span_as_much_as_areas():
+    """Pressed evenly: from 0.05 to 549 N, within one tolerance."""
+    problem = DEGENERATE["areas spanning 1e4"]()
+    area, stick = problem.model.pair_area, HarmonicBalance(problem.system).full_stick[0]
+    assert area.max() / area.min() == pytest.approx(1e4)
+    np.testing.assert_allclose(stick[0, : area.size].real, 700.0 * area / area.sum(), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "pairs, harmonics", [(10, 1), (10, 5), (50, 5), pytest.param(1000, 1, marks=pytest.mark.slow)]
+)
+def test_identical_pairs_act_as_one(pairs, harmonics):
     """Their forces add up, and so does what their weights stand for: springs and dashpots side by side."""
-    many = solve_degenerate(MANY) if pairs == 1000 else solve(replace(press_one_pair(pairs), harmonics=1))
+    known = {(50, 5): "fifty identical pairs", (1000, 1): MANY}.get((pairs, harmonics))
+    many = solve_degenerate(known) if known else solve(press_one_pair(pairs, harmonics))
+    assert (many.problem.model.pairs, many.orders[-1]) == (pairs, harmonics)
     normal, tangential = (law.rho[0] for law in many.problem.system.laws)
-    single = replace(press_one_pair(1), harmonics=1, rho_normal=pairs * normal, rho_tangential=tangential / pairs)
+    single = replace(press_one_pair(1, harmonics), rho_normal=pairs * normal, rho_tangential=tangential / pairs)
     one = solve(single)
     np.testing.assert_allclose(many.output("tip"), one.output("tip"), atol=1e-6 * np.abs(one.output("tip")).max())
     total = many.pair_forces["normal"].sum(axis=1)
