@@ -70,8 +70,9 @@ class _Uncoupled:
         self.count = self.low.basis.coefficients
         right = np.zeros(self.low.size)
         self.factors = Factorisation(NewtonStep(self.low, step.derivatives, right), right)
-        means = ((d, d.values.mean(axis=0, keepdims=True)) for d in step.derivatives)
-        mean = tuple(replace(d, values=values, since=None, kept=None) for d, values in means)
+        # what springs remember is left out: it is held from single instants, and means nothing to a high harmonic
+        here = (d for d in step.derivatives if d.since is None)
+        mean = [replace(d, values=d.values.mean(axis=0, keepdims=True), kept=None) for d in here]
         self.inverse = invert_steady(self.high, mean, np.arange(balance.rows))
 
     def _restrict(self, orders: tuple[int, ...]) -> HarmonicBalance:

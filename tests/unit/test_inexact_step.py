@@ -33,6 +33,7 @@ PROBLEMS = {
         0.1,
         tuple(range(1, 2 * ORDERS, 2)),
     ),
+    "closed by springs": ContactProblem(dovetail(), ContactLaws(friction=0.3), 600.0, ORDERS, closure="spring"),
 }
 
 
@@ -96,3 +97,19 @@ def test_uncoupled_harmonics_are_inverted_exactly(linearised):
     preconditioner.apply(None, image, back)
     assert len(balance.basis.orders) > 2 * COUPLED
     np.testing.assert_allclose(back.array, x, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(("gap", "most"), [(0.0, 75), (1e-3, 90)])
+def test_what_springs_remember_spoils_no_preconditioner(gap, most, monkeypatch):
+    """Taken as if it were of the sample itself, it cost up to twelve times the iterations on the blade root."""
+    monkeypatch.setattr(inexact_step, "FEW", 0)
+    monkeypatch.setattr(inexact_step, "ITERATIONS", most)
+    laws = ContactLaws(friction=0.3, initial_gap=[gap, 0, 0, 0, 0, 0])
+    problem = ContactProblem(dovetail(excitation=120.0), laws, 360.0, ORDERS, closure="spring")
+    balance, low = HarmonicBalance(problem.system), solve(replace(problem, harmonics=9))
+    assert balance.system.closures == ("springs",)
+    forces = np.zeros((ORDERS + 1, balance.rows), dtype=complex)
+    forces[: len(low.orders)] = low.forces
+    step = balance.linearise(balance.pack(forces, low.rigid))
+    monkeypatch.setattr(NewtonStep, "solve", lambda *_: pytest.fail("GMRES took too many iterations"))
+    solve_inexactly(balance, step)

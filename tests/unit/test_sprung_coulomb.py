@@ -156,3 +156,11 @@ def test_springs_climb_through_fewer_and_looser_harmonics(monkeypatch):
         assert climbed == sets and not solution.fallbacks
         tips[closure] = solution.output("tip")[1]
     assert 1e-6 < abs(tips["spring"] / tips["dashpot"] - 1) < 0.02
+
+
+def test_a_pair_that_is_open_throughout_costs_springs_no_steps():
+    """What it would remember is nothing; counted, its force fell by half a step only, to the ladder's second rung."""
+    laws = ContactLaws(friction=0.3, initial_gap=[1e-3, 0, 0, 0, 0, 0])
+    solution = solve(ContactProblem(dovetail(), laws, 360.0, 5, closure="spring"))
+    assert solution.problem.system.closures == ("springs",) and solution.history("gap")[:, 0].min() > 0
+    assert solution.fallbacks == () and solution.iterations <= 20
