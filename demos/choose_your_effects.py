@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Choose your effects
 # One bolted lap joint, from two beams that are one piece to separation, friction and wear at once. An effect that is
-# off costs nothing: no unknown, no row, no Newton iteration. A table puts unknowns, time and result side by side. In the
-# end the harmonics are chosen as well: those that an accuracy needs.
+# off costs nothing: no unknown, no row, no Newton iteration. A table puts unknowns, time and result side by side. In
+# the end the harmonics are chosen as well: those that an accuracy needs.
 
 # %%
 import time

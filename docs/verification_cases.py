@@ -352,10 +352,10 @@ SECTIONS: dict[str, list[Case]] = {
 }
 NOTES = {
     "Harmonic balance against closed forms": f"""N = {ORDER} where the case does not say, and 15 where Den Hartog's
-form degenerates: motions without stops are a continuum at beta = 1/2, and vanish at 1/3. Two masses are held against time
-stepping. The reference under a varying normal load is a fine time integration of its own, in the test; there `static_friction = "zero"`, the paper's, is off by
-the whole mean friction force whatever N, and `"resolved"` converges. A mass that hits a stop tends to the motion that
-loses nothing as slowly as `1/N`.""",
+form degenerates: motions without stops are a continuum at beta = 1/2, and vanish at 1/3. Two masses are held against
+time stepping. The reference under a varying normal load is a fine time integration of its own, in the test; there
+`static_friction = "zero"`, the paper's, is off by the whole mean friction force whatever N, and `"resolved"` converges.
+A mass that hits a stop tends to the motion that loses nothing as slowly as `1/N`.""",
     "Wear against closed forms": """A rigid punch on a Winkler foundation. Single cycles leave `1 - 4 k_w k X` of
 the pressure's differences each, short jumps `exp(-4 k_w k X)` a cycle; explicit jumps beyond their limit turn them and
 make them grow.""",

@@ -37,7 +37,7 @@ LAWS: dict[str, ContactLaws | list] = {  # every combination that has unknowns
     "free in a group": [([0, 2], ContactLaws(tangential="frictionless")), ([1], ContactLaws(friction=0.5))],
 }
 SPRINGS = ", springs"  # close the truncation of the same laws
-FLEXIBILITY = [0.2, 0.3, 0.25]  # of these springs [m/N]; given, for pairs of this structure move too little to be sprung
+FLEXIBILITY = [0.2, 0.3, 0.25]  # of these springs [m/N]; given, for pairs here move too little to be sprung
 SPRUNG = ("unilateral coulomb", "bonded coulomb, mean zero", "varying coulomb", "varying coulomb, mean zero", "groups")
 LAWS |= {name + SPRINGS: LAWS[name] for name in SPRUNG}
 
