@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 
@@ -13,10 +13,13 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.newton_step import NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.splitting import WORTHWHILE, can_split, find_near
+from ewr_fenicsx.splitting import WORTHWHILE, are_projections, find_near
 
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
 FAR = 5e-3  # residual of what is carried over, above which a splitting may be worth its while
+# Unknowns whose rows change status, from which on a splitting goes before a guiding step to another frequency: fewer
+# than elsewhere (``WORTHWHILE``), for such a start is far off, and Newton runs from it creep from kink to kink.
+GUIDED_WORTHWHILE = 100
 WARM_STEPS = 40  # Newton steps a run: those that lead anywhere take fewer, nearly all
 
 Start = tuple[RealArray, bool, int]  # unknowns, whether they are near a solution, and the Newton steps that they took
@@ -76,26 +79,32 @@ def try_starts(
 def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:
     """Where to start from another problem's solution.
 
-    A splitting may lead there, where many pairs change status. Else its forces serve as they are where they cause the
-    same motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding
-    step makes the two fit.
+    A splitting leads there, where many pairs change status. Else its forces serve as they are where they cause the same
+    motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding step
+    makes the two fit. Where a run from there creeps from kink to kink and ends at a corner, steps without a shift
+    mostly end there too, and the splitting is the other way in any joint.
     """
     forces, motion, rigid = carry_over(start, balance)
     carried = balance.pack(forces, rigid)
     moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
     same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
     left = np.linalg.norm(balance.residual(carried))
-    linearise = cache(lambda: balance.linearise(carried, motion))  # once, and only where it is asked for
-    if left > max(FAR, tolerance) and (near := split(balance, forces, motion, linearise)) is not None:
-        yield near, True, 0
+    # each once, and only where it is asked for
+    linearise, near = cache(lambda: balance.linearise(carried, motion)), cache(lambda: split(balance, forces, motion))
+    least = WORTHWHILE if same else GUIDED_WORTHWHILE
+    many = left > max(FAR, tolerance) and balance.size >= least and linearise().unknowns_left >= least
+    splits = many and near() is not None
+    if splits:
+        yield near(), True, 0
     if same or left <= tolerance:
         yield carried, True, 0
         yield carried, False, 0
         yield step_from(linearise(), carried), False, 1
-    else:
-        guided = step_from(linearise(), carried)
-        yield guided, False, 1
-        yield guided, True, 0
+        return
+    guided = step_from(linearise(), carried)
+    yield guided, False, 1
+    if not splits:
+        yield guided if near() is None else near(), True, 0
 
 
 def list_predicted(
@@ -104,19 +113,14 @@ def list_predicted(
     """Where to start from forces and motions that need not fit each other, as in ``guide``."""
     unknowns = balance.pack(forces, rigid)
     step = balance.linearise(unknowns, motion)
-    if (near := split(balance, forces, motion, lambda: step)) is not None:
+    if step.unknowns_left >= WORTHWHILE and (near := split(balance, forces, motion)) is not None:
         yield near, True, 0
     yield step_from(step, unknowns), False, 1
 
 
-def split(
-    balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, linearise: Callable[[], NewtonStep]
-) -> RealArray | None:
-    """Unknowns near a solution, where a splitting ends that begins at forces and motions as in ``guide``; else None.
-
-    Only where that is worth its while: a step is cheap where few pairs change status, as linearised there.
-    """
-    if not can_split(balance) or linearise().unknowns_left < WORTHWHILE:
+def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> RealArray | None:
+    """Unknowns near a solution, where a splitting ends that begins at forces and motions as in ``guide``; else None."""
+    if not are_projections(balance):
         return None
     found = find_near(balance, lambda splitting: splitting.join(forces, motion))
     return None if found is None else found[1]
