@@ -119,7 +119,7 @@ def climb(
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
     are any and the set is small enough for them.
     """
-    below, attempt, steps = None, None, 0
+    below, attempt, steps, held = None, None, 0, None
     for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
         last = orders == balance.basis.orders
         level = balance if last else restrict(balance, orders)
@@ -134,7 +134,9 @@ def climb(
             if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:
                 attempt = rung(level, goal, attempt)
         steps += attempt.iterations
-        below = level
+        below, held = level, orders[-1] if attempt.converged else held
+    if not attempt.converged and held:
+        attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
     return replace(attempt, iterations=steps)
 
 

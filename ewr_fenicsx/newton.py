@@ -314,13 +314,14 @@ def leave_default_weights(
     """Solve with the default weights, then follow the solution to the problem's own; stay where that leads nowhere."""
     usual = use_default_weights(problem)
     solution = solve(usual, start, tolerance, linear_solver=linear_solver, raise_on_failure=False)
+    tried = f" (with these: {'; '.join(solution.fallbacks)})" if solution.fallbacks else ""
     unknowns = balance.pack(solution.forces, solution.rigid)
     found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
-        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
+        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}{tried}")
     last = approach_weights(balance, solution, tolerance, linear_solver)
-    last = replace(last, iterations=found.iterations + last.iterations)
+    last = replace(last, iterations=found.iterations + last.iterations, reason=last.reason + tried)
     if last.converged:
         return last
     return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")

@@ -10,7 +10,7 @@ import pytest
 from petsc4py import PETSc
 from small_models import PROBLEMS, dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, newton, snes, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, newton, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.newton import estimate_rounding, run_newton
@@ -148,8 +148,19 @@ def test_weights_of_ones_own_fail_where_the_default_ones_do(unreachable):
     """Those take every rung there is: no rung is climbed twice."""
     with pytest.raises(NotConverged, match=r"not solved with the default weights: .* Try fewer") as caught:
         solve(replace(PROBLEMS["floating, slip"], rho_normal=1e9), tolerance=unreachable)
-    tried = [rung.split(":")[0] for rung in caught.value.best.fallbacks]
-    assert tried == ["cold start", "from the default weights"]
+    rungs = caught.value.best.fallbacks
+    assert [rung.split(":")[0] for rung in rungs] == ["cold start", "from the default weights"]
+    for tried in ("with these: cold start:", "time stepping:", "more sets of harmonics:"):
+        assert tried in rungs[1], "what was tried with the default weights is listed as well"
+
+
+def test_a_climb_that_fails_tells_how_far_it_came(unreachable, monkeypatch):
+    monkeypatch.setattr(ladder, "can_split", lambda _: False)
+    posed = replace(PROBLEMS["floating, slip"], harmonics=15)
+    lost = solve(posed, tolerance=unreachable, fallbacks=False, raise_on_failure=False)
+    assert lost.reason.endswith("; harmonics up to 5 were solved for")
+    alone = solve(replace(posed, harmonics=5), tolerance=unreachable, fallbacks=False, raise_on_failure=False)
+    assert not alone.converged and "solved for" not in alone.reason
 
 
 def test_a_failure_by_rounding_far_below_the_modes_of_a_floating_body_says_so():
