@@ -19,7 +19,7 @@ from ewr_fenicsx.cost_plots import draw_work_precision
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, PAGE = ROOT / "benchmarks" / "results", ROOT / "docs" / "accuracy.md"
-LEVELS = (0.1, 0.03, 0.01, 0.003)
+LEVELS = (0.1, 0.03, 0.01, 0.003, 0.001)
 ROUNDING = 1e-9  # relative errors below it are no truncation
 NAMES = {
     "output": "response, amplitude and phase",

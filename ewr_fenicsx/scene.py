@@ -132,8 +132,8 @@ class Wear(Section):
     coefficient: Number = entry(
         1e-11,
         "1/Pa",
-        "Wear coefficient of every flank that can wear. The default is that of the paper's studies; give what was "
-        "measured for your surfaces.",
+        "Wear coefficient of every flank that opens and slides, with friction or without. The default is that of the "
+        "paper's studies; give what was measured for your surfaces.",
         ge=0,
     )
     cycles: Integer = entry(3000, "-", "Cycles of the excitation to follow.", ge=1)
