@@ -25,6 +25,7 @@ MISSED = 0.05  # share of the oscillating contact forces, at a harmonic that is 
 FEW_MULTIPLES = 3  # of the loads' harmonics: with fewer, friction and taps are hardly seen
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 TINY = np.finfo(float).tiny
+LISTED = 8  # harmonics that are named one by one; of more, the first three and the last
 LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
 
 
@@ -316,6 +317,9 @@ class PeriodicSolution(PeriodicMotion):
                 told = "no pair that may part ever touches: the other pairs alone join the bodies"
             lines.append(f"  {told}; are gaps in m, and does a load close them?")
         if self.left_out:
-            lines.append(f"  harmonics {', '.join(map(str, self.left_out))} left out: {self.why_left_out}")
+            some = [str(h) for h in self.left_out]
+            if len(some) > LISTED:
+                some[3:-1] = ["..."]
+            lines.append(f"  harmonics {', '.join(some)} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)
