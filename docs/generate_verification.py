@@ -179,10 +179,12 @@ its time with the default one. Ratios are time stepping's time over that of harm
 that the project aims at. Empty: not reached with what was tried.
 
 First with the better of the two closures, against the fastest of all ways to step, and against the fastest that stops
-by itself:""",
+by itself; "both by default" is the latter over harmonic balance with its default tolerance, where neither knows the
+answer:""",
         "",
         write_table(
-            ["Hz", "error of", "level %", "ratio fastest", "ratio own stop", "to reach"], tell_ratios(found["summary"])
+            ["Hz", "error of", "level %", "ratio fastest", "ratio own stop", "both by default", "to reach"],
+            tell_ratios(found["summary"]),
         ),
         "",
         write_table(list(found["summary"][0]), [list(map(show_number, row.values())) for row in found["summary"]]),
@@ -195,6 +197,9 @@ def tell_ratios(summary: list[dict]) -> list[list[str]]:
     for which in dict.fromkeys((row["Hz"], row["error of"], row["level %"]) for row in summary):
         here = [r for r in summary if (r["Hz"], r["error of"], r["level %"]) == which and r["N"]]
         best = [max((r[f"ratio {way}"] for r in here), default=None) for way in ("fastest", "own stop")]
+        shortest = lambda keys: min((r[k] for r in here for k in keys if r[k]), default=None)  # noqa: B023, E731
+        ours, theirs = shortest(["to 1e-8 s"]), shortest([f"own stop {start} s" for start in ("rest", "stick")])
+        best.append(theirs / ours if ours and theirs else None)
         rows.append(list(map(show_number, (*which, *best, here[0]["to reach"] if here else None))))
     return rows
 

@@ -294,7 +294,7 @@ SECTIONS: dict[str, list[Case]] = {
         ),
         *(
             (f"Den Hartog, beta = {beta}, where stops begin, closed by the mass", begin_to_stop, (beta, boundary))
-            for beta, boundary in dict((row[0], row[3]) for row in den_hartog.TABLE).items()
+            for beta, boundary in {row[0]: row[3] for row in den_hartog.TABLE}.items()
         ),
         ("Den Hartog, beta = 0.5 + 1e-9, x_f / a = 0.1, asymmetric", rub_near_a_fraction, (0.5 + 1e-9, 0.1, 1e-9)),
         ("Den Hartog, beta = 1/3 + 0.001, x_f / a = 0.002", rub_near_a_fraction, (1 / 3 + 1e-3, 0.002, 0.0)),

@@ -17,8 +17,9 @@ from ewr_fenicsx.compliance import receptance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.law_kinds import LawKind
-from ewr_fenicsx.reduced_model import ROUNDINGS, ReducedModel, bound_motion
+from ewr_fenicsx.reduced_model import ReducedModel, bound_motion
 
+_ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
 DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
@@ -161,7 +162,7 @@ def _project(matrix: RealArray, basis: RealArray) -> RealArray:
     """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
     forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
     reached = np.abs(basis).T @ forces + eps * forces.sum()
-    projected, rounding = basis.T @ matrix @ basis, ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
+    projected, rounding = basis.T @ matrix @ basis, _ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
     return np.where(np.abs(projected) > rounding, projected, 0.0)
 
 

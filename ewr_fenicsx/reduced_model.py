@@ -21,20 +21,14 @@ from urllib.parse import unquote
 
 import h5py
 import numpy as np
-import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
+from ewr_fenicsx.rigid_modes import check_inertia, check_rigid_modes, find_own_units, find_precision, find_rigid_modes
 from ewr_fenicsx.whole_files import replace_file
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
-_MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
-ROUNDINGS = 10  # roundings, times the number of coordinates, that a projection leaves of an entry that is zero
-_EPS = float(np.finfo(float).eps)
-# Roundings of the largest eigenvalue of the scaled stiffness, at least and from so many coordinates on as many, below
-# which one is zero; and times that, below which nobody can tell.
-_ROUNDED, _DOUBTFUL = 100, 100
 _NEGATIVE = 1e-6  # most negative eigenvalue of the scaled mass accepted
 _REMEDIES = {  # what to do about complex ones
     "stiffness": "give real matrices; structural damping belongs into damping, eta K / omega at its frequency",
@@ -127,8 +121,8 @@ class ReducedModel:
         else:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
-            _check_rigid_modes(self.stiffness, self.rigid_modes)
-        _check_inertia(self.mass, self.stiffness, self.rigid_modes)
+            check_rigid_modes(self.stiffness, self.rigid_modes)
+        check_inertia(self.mass, self.stiffness, self.rigid_modes)
 
     def __repr__(self) -> str:
         return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
@@ -237,58 +231,12 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
     return {read_harmonic("load", h): _load(h, f, size) for h, f in given.items()}
 
 
-def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray:
-    """Basis ``(n, r)`` of the null space of a positive semidefinite stiffness, orthonormal after diagonal scaling.
-
-    Rounding of its entries leaves rigid motions a few times itself, whatever ``n``. A slender or locally refined body
-    that is held may come within a hundred times that, and so may one that floats and has lost digits: which of the two
-    it is, the stiffness does not tell.
-
-    Args:
-        stiffness: ``(n, n)``.
-        precision: Relative rounding of its entries.
-
-    Raises:
-        ModelError: The stiffness has a negative eigenvalue beyond rounding, or one that rounding may have made or not.
-    """
-    n, scale = stiffness.shape[0], 1 / _own_units(stiffness)
-    values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
-    values = values / max(np.abs(values).max(), 1e-300)
-    rounding = _count_rounding(n) * _EPS
-    doubtful = max(_DOUBTFUL * rounding, _count_rounding(n) * precision)
-    unsure = (np.abs(values) > rounding) & (np.abs(values) < doubtful)
-    if np.any(unsure):
-        lost = " is in single precision, and" if precision > _EPS else ""
-        raise ModelError(
-            f"the stiffness{lost} resists {np.count_nonzero(unsure)} motions by no more than rounding may make: "
-            f"{np.abs(values[unsure]).min():.1g} of the most, where lost digits leave up to {doubtful:.1g}. Say whether "
-            f"a body floats: rigid_modes=np.zeros(({n}, 0)) if all are held, or its rigid modes as columns"
-        )
-    if values[0] < -doubtful:
-        raise ModelError(
-            f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly, "
-            "or whether its entries have lost digits, as in a file of few: then give rigid_modes"
-        )
-    return scale[:, None] * vectors[:, values <= rounding]
-
-
-def find_precision(matrix: object) -> float:
-    """Relative rounding of the entries of a matrix as it is given, before it is read."""
-    kind = np.dtype(getattr(matrix, "dtype", float))
-    return float(max(_EPS, np.finfo(kind).eps)) if kind.kind in "fc" else _EPS
-
-
-def _count_rounding(size: int) -> int:
-    """Roundings of the largest eigenvalue that the smallest ones may have: of a matrix ``(size, size)``."""
-    return max(_ROUNDED, size)
-
-
 def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
     """``(r,)`` motion that rows could see of each rigid mode: far less than this is rounding.
 
     By Cauchy and Schwarz, in units of which the coordinates' own ones drop out.
     """
-    root = _own_units(model.stiffness, model.mass)
+    root = find_own_units(model.stiffness, model.mass)
     seen = np.linalg.norm(rows / root, axis=1).max(initial=0.0)
     return seen * np.linalg.norm(root[:, None] * model.rigid_modes, axis=0)
 
@@ -355,67 +303,3 @@ def _check_mass(mass: RealArray) -> None:
             f"mass is not positive semidefinite: scaled eigenvalue {np.linalg.eigvalsh(scaled)[0]:.3g}; check its "
             "sign and assembly"
         ) from None
-
-
-def _check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
-    force = np.abs(stiffness @ modes).max(axis=0)
-    scale = np.maximum((np.abs(stiffness) @ np.abs(modes)).max(axis=0), np.finfo(float).tiny)  # no stiffness at all
-    meets = force / scale
-    if np.any(meets > 1e-6):
-        worst = int(np.argmax(meets))
-        raise ModelError(
-            f"rigid_modes[:, {worst}] meets elastic forces of {meets[worst]:.2g} of the stiffness; "
-            "give null vectors of the stiffness, or None to have them found"
-        )
-    _check_completeness(stiffness, modes)
-
-
-def _own_units(stiffness: RealArray, mass: RealArray | None = None) -> RealArray:
-    """``(n,)`` roots of the stiffness's own diagonal, by which results do not depend on the coordinates' units.
-
-    Where it is zero, of the mass's: as stiff as the softest of the others, mass by mass.
-    """
-    stiff = np.abs(np.diag(stiffness))
-    heavy = np.zeros(stiff.size) if mass is None else np.abs(np.diag(mass))
-    both = (stiff > 0) & (heavy > 0)
-    softest = np.min(stiff[both] / heavy[both]) if np.any(both) else 1.0
-    squares = np.where(stiff > 0, stiff, softest * heavy)
-    return np.sqrt(np.where(squares > 0, squares, 1.0))
-
-
-def _check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> None:
-    """That every rigid motion has kinetic energy: a coordinate with neither mass nor stiffness has none."""
-    if modes.shape[1] == 0:
-        return
-    root = _own_units(stiffness, mass)
-    apart, scaled = scipy.linalg.orth(root[:, None] * modes), mass / root[:, None] / root
-    energies, motions = np.linalg.eigh(apart.T @ scaled @ apart)
-    if energies[0] <= _MASSLESS * np.abs(scaled).max():
-        moved = int(np.argmax(np.abs(apart @ motions[:, 0])))
-        raise ModelError(
-            f"the stiffness leaves {modes.shape[1]} rigid motions free, and the mass is zero in one of them: it "
-            f"moves coordinate {moved} most, where neither a mass nor a spring resists; a dashpot alone does not do; "
-            "give it a mass, hold it, or leave it out"
-        )
-
-
-def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
-    """That the stiffness resists what is no rigid mode: another Cholesky factorisation."""
-    n, root = stiffness.shape[0], _own_units(stiffness)
-    apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
-    scaled = stiffness / root[:, None] / root
-    resisted = scaled + apart @ apart.T
-    rounding = _count_rounding(n) * _EPS
-    try:
-        np.linalg.cholesky(resisted - _DOUBTFUL * rounding * np.eye(n))
-        complete = True
-    except np.linalg.LinAlgError:  # eigenvalues tell what is near rounding apart from it
-        values = np.linalg.eigvalsh(resisted)
-        complete = values[0] > rounding * values[-1]
-    if not complete or apart.shape[1] < modes.shape[1]:
-        values = np.linalg.eigvalsh(scaled)
-        raise ModelError(
-            f"rigid_modes has {modes.shape[1]} columns, {apart.shape[1]} of them independent, and the stiffness leaves "
-            f"{np.count_nonzero(values <= rounding * values[-1])} motions free; give one for each of these, or None to "
-            "have them found"
-        )

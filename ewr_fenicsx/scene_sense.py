@@ -149,7 +149,7 @@ def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str
 
 
 def can_wear(laws: Contact) -> bool:
-    """Whether the bodies press, part and slide there, with friction or without: what wear needs, and what it changes."""
+    """Whether the bodies press, part and slide there, with friction or without: what wear needs and changes."""
     slides = "slip" in find_kind("tangential", laws.tangential).histories
     return find_kind("normal", laws.normal).opens and slides
 

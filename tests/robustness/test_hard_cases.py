@@ -359,9 +359,7 @@ def test_preloads_span_as_much_as_areas():
     np.testing.assert_allclose(stick[0, : area.size].real, 700.0 * area / area.sum(), rtol=1e-8)
 
 
-@pytest.mark.parametrize(
-    "pairs, harmonics", [(10, 1), (10, 5), (50, 5), pytest.param(1000, 1, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("pairs, harmonics", [(10, 1), (10, 5), (50, 5), pytest.param(1000, 1, marks=pytest.mark.slow)])
 def test_identical_pairs_act_as_one(pairs, harmonics):
     """Their forces add up, and so does what their weights stand for: springs and dashpots side by side."""
     known = {(50, 5): "fifty identical pairs", (1000, 1): MANY}.get((pairs, harmonics))

@@ -91,7 +91,7 @@ def test_a_static_scene_needs_no_frequency(read):
         (SCENE + "[wear]\n[contact]\nnormal = 'bonded'\ntangential = 'bonded'", "remove [wear], or set normal"),
         (
             SCENE + "[wear]\n[flanks.left]\ntangential = 'bonded'\nwear = 1e-11",
-            'flanks.left.wear = 1e-11: with normal = "unilateral", tangential = "bonded" nothing slides and opens there',
+            'flanks.left.wear = 1e-11: with normal = "unilateral", tangential = "bonded" nothing slides and opens',
         ),
         (SCENE + "[flanks.left]\nwear = 1e-11", "flanks.left.wear = 1e-11: nothing wears without [wear]"),
         (HEAD + PULL + "[wear]\n", "wear, and no load oscillates: nothing slides; was harmonic = 1 meant"),

@@ -16,9 +16,10 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each module may import those before it.
 # fmt: off
 ORDER = [
-    "errors", "_compat", "petsc_options", "given", "whole_files", "reduced_model", "harmonics", "law_kinds",
-    "smoothing", "cone", "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb", "inertial_coulomb",
-    "coulomb", "contact_laws", "statics", "compliance", "closure", "layout", "contact_system", "composition",
+    "errors", "_compat", "petsc_options", "given", "whole_files", "rigid_modes", "reduced_model", "harmonics",
+    "law_kinds", "smoothing", "cone", "unilateral", "bonded", "prescribed", "planar_coulomb", "sprung_coulomb",
+    "inertial_coulomb", "coulomb", "contact_laws", "statics", "compliance", "closure", "layout", "contact_system",
+    "composition",
     "contact_problem", "ignored",
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
@@ -33,7 +34,7 @@ ORDER = [
     "cost_report", "cli", "__main__",
 ]
 # fmt: on
-CORE = ORDER[ORDER.index("reduced_model") : ORDER.index("wear") + 1]
+CORE = ORDER[ORDER.index("rigid_modes") : ORDER.index("wear") + 1]
 MODULES = sorted(path.stem for path in FOLDER.rglob("*.py") if path.stem != "__init__")
 LONGEST = 400
 

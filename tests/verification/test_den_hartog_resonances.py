@@ -24,7 +24,6 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.solution import PeriodicSolution
 
-
 HIGHEST = 15
 
 
