@@ -25,12 +25,9 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
     Args:
         solution: Its ``p = max(0, lam_N) / A`` is the pressure [Pa], ``|v|`` its ``sliding_speed``.
         coefficient: ``(K_c,)`` wear coefficients ``k_w`` [1/Pa].
-
-    Raises:
-        ModelError: The model has no ``pair_area``.
     """
     period = 1 / solution.problem.frequency
-    pressure = np.maximum(0.0, solution.history("normal_force", SAMPLES)) / solution.problem.model.require_areas()
+    pressure = np.maximum(0.0, solution.history("normal_force", SAMPLES)) / solution.problem.model.areas
     return coefficient * period * np.mean(pressure * solution.sliding_speed(SAMPLES), axis=0)
 
 
@@ -43,9 +40,6 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     Args:
         solution: The state.
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
-
-    Raises:
-        ModelError: The model has no ``pair_area``.
     """
     problem, system = solution.problem, solution.problem.system
     closes = np.any(classify_contact(solution, SAMPLES) != OPEN, axis=0)
@@ -61,7 +55,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     bends[np.abs(bends) <= _RIGID * system.flexibility[rows].max()] = 0.0
     stiffness = free @ np.linalg.pinv(bends, rcond=1e-10, hermitian=True) @ free.T
     sliding = measure_sliding(solution.sliding_speed(SAMPLES)[:, pairs], 1 / problem.frequency)
-    weight = coefficient[pairs] * sliding / problem.model.require_areas()[pairs]
+    weight = coefficient[pairs] * sliding / problem.model.areas[pairs]
     wears = weight > 0  # the others keep their depth, to the last digit
     decay[np.ix_(pairs[wears], pairs[wears])] = (weight[:, None] * stiffness)[np.ix_(wears, wears)]
     return decay

@@ -17,6 +17,7 @@ import scipy.linalg
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel, bound_motion
+from ewr_fenicsx.statics import list_most
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
 
@@ -293,10 +294,14 @@ def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:
     modes = modes / np.where(seen, motion, np.inf)  # what is rounding must not become a motion
     _, values, turn = np.linalg.svd(rows @ modes, full_matrices=True)
     if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
+        idle = model.rigid_modes @ (turn[-1] / np.where(seen, motion, 1.0))
+        unseen = [model.rows(direction) @ idle for direction in model.tangent_directions]
+        slides = list_most(np.linalg.norm(unseen, axis=0)) if unseen else []
+        which = f"slides along pairs {', '.join(map(str, slides))} without friction" if slides else "moves no pair"
         raise ModelError(
             f"{modes.shape[1]} rigid motions of floating bodies, but the forces of contact tell only "
-            f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart; clamp the body, bond a flank, or "
-            "add friction or pairs"
+            f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart: one that they do not see {which}; "
+            "clamp the body, bond a flank, or add friction or pairs"
         )
     modes = modes @ turn.T
     return modes / np.abs(rows @ modes).max(axis=0)

@@ -72,7 +72,8 @@ def frequency_response(
         frequencies: Rising [Hz]; a single number will do. The curve has a solution at each and, where it folds, those
             of the fold as well.
         harmonics: As in ``ContactProblem``.
-        progress: Whether rank 0 shows how far it is and how long the rest will take.
+        progress: Whether rank 0 shows how far it is and how long the rest will take; so does what the curve is asked for
+            later.
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
             points are inserted between the given ones until it holds. None: none are.
         tolerance: As in ``solve``.
@@ -141,7 +142,7 @@ def frequency_response(
         if find_idle_harmonics(problem).orders:
             whole = [adopt_weights(replace(problem, frequency=s.problem.frequency), s.problem) for s in points]
             points = [include_idle(s, posed) for s, posed in zip(points, whole, strict=True)]
-        curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing)
+        curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing, progress=progress)
         if accuracy is not None:
             begun = curves[label] if refine else thin_out(curves[label], targets)
             posed, shared = follower.problem_at(targets[0]), {"comm": comm, "progress": progress, "folder": work}

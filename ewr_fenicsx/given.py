@@ -38,6 +38,18 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
     return array.astype(kind, copy=False)
 
 
+class ReadOnly(dict):
+    """A dictionary that nobody can write to: what a frozen owner keeps of one."""
+
+    def _refuse(self, *_: object, **__: object) -> None:
+        raise TypeError("models and problems are values: make another one with dataclasses.replace(...)")
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple:
+        return ReadOnly, (dict(self),)
+
+
 def keep(value: object) -> object:
     """What a frozen owner keeps of something given: arrays that nobody can write to, copied where somebody could."""
     if isinstance(value, np.ndarray):
@@ -45,7 +57,7 @@ def keep(value: object) -> object:
             value = np.array(value)
             value.flags.writeable = False
     elif isinstance(value, Mapping):
-        return {key: keep(item) for key, item in value.items()}
+        return ReadOnly({key: keep(item) for key, item in value.items()})
     elif type(value) in (list, tuple):
         return type(value)(map(keep, value))
     return value

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray, read_harmonic, read_numbers
+from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, read_harmonic, read_numbers
 from ewr_fenicsx.rigid_modes import check_inertia, check_rigid_modes, find_own_units, find_precision, find_rigid_modes
 from ewr_fenicsx.whole_files import replace_file
 
@@ -51,7 +51,7 @@ class ReducedModel:
             for any two unit tangents at right angles; or None. By ``normal`` (zeros where a pair has no normal motion)
             the two of a pair are told from two pairs: without it, each row is a pair of its own.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
-        pair_area: ``(K_c,)`` tributary area of each pair [m^2]; None: pressures and wear are not to be had.
+        pair_area: ``(K_c,)`` tributary area of each pair [m^2]; None: ones, which ``evolve_wear`` warns of.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
         outputs: Name -> ``(n,)`` row of a quantity to follow, ``row @ x``.
 
@@ -115,7 +115,8 @@ class ReducedModel:
                 raise ModelError(f"pair_area[{k}] = {self.pair_area[k]:g} m^2; every tributary area must be positive")
         freeze("load", check_loads(self.load, n))
         outputs = _mapping("outputs", self.outputs, '{"tip": row}')
-        freeze("outputs", {_name(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()})
+        rows = {_name(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()}
+        freeze("outputs", ReadOnly(rows))
         if self.rigid_modes is None:
             freeze("rigid_modes", find_rigid_modes(self.stiffness, precision))
         else:
@@ -164,18 +165,10 @@ class ReducedModel:
             return self.tangential[1::2]
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
 
-    def require_areas(self) -> RealArray:
-        """``pair_area``, ``(K_c,)`` [m^2], for what makes no sense without.
-
-        Raises:
-            ModelError: It was not given.
-        """
-        if self.pair_area is None:
-            raise ModelError(
-                "pair_area was not given: pressures, and so depths, need the area of each pair [m^2]; give "
-                "ReducedModel(..., pair_area=...)"
-            )
-        return self.pair_area
+    @property
+    def areas(self) -> RealArray:
+        """``pair_area``, ``(K_c,)`` [m^2]; ones where none was given."""
+        return np.ones(self.pairs) if self.pair_area is None else self.pair_area
 
     def save(self, path: str | Path) -> None:
         """Write the model to an HDF5 file, replacing it, in a folder that is made where there is none.
@@ -228,7 +221,7 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
             real.
     """
     given = _mapping("load", load, "{1: amplitudes}")
-    return {read_harmonic("load", h): _load(h, f, size) for h, f in given.items()}
+    return ReadOnly({read_harmonic("load", h): _load(h, f, size) for h, f in given.items()})
 
 
 def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:

@@ -36,12 +36,14 @@ class FrequencyResponse:
         jumps: Where the curve is broken because no branch led on; empty as a rule.
         missing: Given frequencies without a solution [Hz]; empty as a rule.
         accurate: Where an accuracy was asked for: the solutions with their estimated errors, and how they came about.
+        progress: Whether what is looked at later (``unstable``, which ``table`` has too) shows how far it is.
     """
 
     solutions: tuple[PeriodicSolution, ...]
     jumps: tuple[Jump, ...]
     missing: tuple[float, ...]
     accurate: tuple[AccurateSolution, ...] = ()
+    progress: bool = False
 
     def __repr__(self) -> str:
         at = self.frequencies
@@ -80,7 +82,7 @@ class FrequencyResponse:
         Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
         where branches cross (``PeriodicSolution.side``).
         """
-        return self._find_unstable()
+        return self._find_unstable(progress=self.progress)
 
     def look_at_stability(self, comm: MPI.Comm, progress: bool = False, work: Path | None = None) -> None:
         """Finds ``unstable``, its points shared by all ranks; collective. Else each rank does so when it needs it.

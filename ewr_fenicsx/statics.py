@@ -44,7 +44,7 @@ def find_holding(
         limit: ``(K,)`` tangential force that a pair carries whatever its normal force [N].
 
     Raises:
-        UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens most.
+        UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens, or else slides along, most.
     """
     arrays = normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit
     return _find_holding(*((array.tobytes(), array.shape) for array in arrays))
@@ -84,16 +84,24 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
             "flank across it"
         )
     if rest > _BALANCED:
-        opening = normal_motion @ motion
-        worst = [int(k) for k in np.argsort(-opening)[:3] if opening[k] > 0]
-        opens = f"pairs {', '.join(map(str, worst))} most" if worst else "no pair"
+        opening, sliding = normal_motion @ motion, np.linalg.norm(tangential_motion @ motion, axis=0)
+        # a slide's multiplier climbs the friction cone: what it opens by no more than that stays closed
+        parts = opening - friction * sliding > _SEEN * np.abs(motion).max() * largest_motion
+        how, most = ("opens", np.where(parts, opening, 0.0)) if np.any(parts) else ("slides along", sliding)
+        worst = list_most(most)
+        moves = f"{how} pairs {', '.join(map(str, worst))} most" if worst else "opens no pair"
         raise UnheldBody(
             f"nothing holds a floating body: {100 * rest:.3g}% of the mean load stays unbalanced whatever the contact "
-            f"forces; it drives a rigid motion that opens {opens}; turn the load round, raise the friction or the "
+            f"forces; it drives a rigid motion that {moves}; turn the load round, raise the friction or the "
             "prescribed normal force, or support the body",
             worst,
         )
     return "friction"
+
+
+def list_most(moved: RealArray) -> list[int]:
+    """The pairs that move most, three at most and none that moves by rounding; ``moved``: ``(K,)``, not negative."""
+    return [int(k) for k in np.argsort(-moved, kind="stable")[:3] if moved[k] > _SEEN * moved.max()]
 
 
 def _unbalanced(

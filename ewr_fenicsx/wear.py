@@ -6,6 +6,7 @@ slow time is crossed, cycle by cycle or in jumps, says ``cycle_jumps.py``.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import signature
@@ -75,7 +76,7 @@ class WearHistory:
     @property
     def volume(self) -> RealArray:
         """``(steps, K_c)`` worn volume of each pair, depth by tributary area [m^3]."""
-        return self.depth * self.problem.model.require_areas()
+        return self.depth * self.problem.model.areas
 
     @property
     def total_volume(self) -> RealArray:
@@ -119,7 +120,7 @@ class WearHistory:
         columns = {
             "cycles": self.cycles,
             "deepest [m]": self.depth.max(axis=1),
-            "mean depth [m]": self.total_volume / self.problem.model.require_areas().sum(),
+            "mean depth [m]": self.total_volume / self.problem.model.areas.sum(),
             "volume [m^3]": self.total_volume,
         }
         figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]
@@ -146,10 +147,10 @@ def evolve_wear(
     checkpoint_every: int = 100,
     tolerance: float = 1e-8,
     accuracy: float | None = None,
-    progress: bool = False,
+    progress: bool = True,
     **choice: object,
 ) -> WearHistory:
-    """Wear of a joint over many vibration cycles.
+    """Wear of a joint over many vibration cycles; warns where the model has no ``pair_area``, for which ones stand in.
 
     Args:
         problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
@@ -171,8 +172,7 @@ def evolve_wear(
         Cycles, worn depths and solutions at the steps that are kept.
 
     Raises:
-        ModelError: No pair can wear, or the model has no ``pair_area``; or a number makes no sense; or more modes in a
-            run that is to be resumed.
+        ModelError: No pair can wear; or a number makes no sense; or more modes in a run that is to be resumed.
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
@@ -184,6 +184,12 @@ def evolve_wear(
         )
     cycles, keep_every = int(cycles), int(keep_every)
     rates = read_coefficient(problem, coefficient)
+    if problem.model.pair_area is None:
+        warnings.warn(
+            "pair_area was not given: each pair is taken to have an area of 1 m^2, by which its pressure and its depth "
+            "may be orders of magnitude too small; give ReducedModel(..., pair_area=...)",
+            stacklevel=2,
+        )
     if not (deepest is None or is_positive(deepest)):
         raise ModelError(f"deepest = {deepest}; give a positive depth [m], or None")
     if not (jump is None or isinstance(jump, Tolerance)):
@@ -229,8 +235,7 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
     """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow.
 
     Raises:
-        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear; or the model has
-            no ``pair_area``.
+        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
     """
     model = problem.model
     rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
@@ -245,7 +250,6 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
         raise ModelError(
             'no pair can wear: it takes pairs that may part (normal = "unilateral") and a positive wear coefficient'
         )
-    model.require_areas()
     if model.tangents == 0:
         raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
     return rates

@@ -32,7 +32,7 @@ def tabulate_wear_fields(history: WearHistory) -> dict[str, RealArray]:
     pressure, sliding = np.empty(history.depth.shape), np.empty(history.depth.shape)
     for i, solution in enumerate(history.solutions):
         force = np.maximum(0.0, solution.history("normal_force", SAMPLES))
-        pressure[i] = force.mean(axis=0) / solution.problem.model.require_areas()
+        pressure[i] = force.mean(axis=0) / solution.problem.model.areas
         sliding[i] = measure_sliding(solution.sliding_speed(SAMPLES), 1 / solution.problem.frequency)
     indicator = np.broadcast_to(sliding.mean(axis=1)[:, None], sliding.shape)
     values = (history.gap, pressure, sliding, indicator)

@@ -75,7 +75,7 @@ class WearFile:
             file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
             file.attrs["jump"], file.attrs["solves"] = state.jump, state.solves
             file.attrs["stopped"] = state.stopped or ""
-            file["pair_area"] = self.problem.model.require_areas()
+            file["pair_area"] = self.problem.model.areas
             self._write_steps(file.create_group("steps"), state.steps)
             self._write_steps(file.create_group("last"), [s for s in (state.earlier, state.latest) if s is not None])
 

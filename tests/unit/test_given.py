@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from dataclasses import replace
 
@@ -53,3 +54,15 @@ def test_arrays_of_own_parameters_are_kept_as_well():
     given["stiffness"].append(4.0)
     np.testing.assert_array_equal(kept["stiffness"], [[1.0, 1.0]])
     np.testing.assert_array_equal(kept["by_name"]["a"], 1.0)
+
+
+def test_loads_and_outputs_of_a_model_cannot_be_written_to():
+    """A load that was taken out of a model left the rest as it was; one that was put in ended in an error of numpy's."""
+    model = random_structure()
+    for kept in (model, pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):
+        for change in (lambda d: d.pop(1), lambda d: d.update({3: 5.0}), lambda d: d.clear(), lambda d: d.__setitem__(3, 5.0)):
+            for part in (kept.load, kept.outputs, keep({"a": 1.0})):
+                with pytest.raises(TypeError, match="make another one with dataclasses.replace"):
+                    change(part)
+        assert kept.load.keys() == model.load.keys() and kept.outputs.keys() == model.outputs.keys()
+    assert replace(model, load={**model.load, 3: np.ones(model.size)}).load.keys() == {*model.load, 3}

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, load_scene, solve
 from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.errors import ModelError, UnheldBody
 
 SCENE = Path(__file__).parents[2] / "demos" / "blade_root.toml"
 
@@ -50,3 +51,26 @@ def test_both_inverses_give_the_same_forces(solutions):
     for name in ("normal_force", "friction_force"):
         one, other = (solutions[inverse].history(name, 64) for inverse in INVERSES)
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-10 * np.abs(one).max(), err_msg=name)
+
+
+def pressed_plate(friction: float, push: float) -> ContactProblem:
+    """A plate of 1 kg that 100 N press on a springy floor and ``push`` [N] drive along it."""
+    model = ReducedModel(
+        mass=np.eye(4),
+        damping=10 * np.eye(4),
+        stiffness=np.diag([0.0, 0.0, 1e7, 1e7]),
+        normal=[[-1, 0, 1, 0]],
+        tangential=[[0, 1, 0, -1]],
+        load={0: [100.0, push, 0, 0], 1: [0, 1.0, 0, 0]},
+    )
+    return ContactProblem(model, ContactLaws("unilateral", "coulomb" if friction else "frictionless", friction), 50.0)
+
+
+def test_a_plate_that_is_pressed_and_pushed_too_hard_is_told_to_slide():
+    """It was said to open its pair, on which 100 N press it."""
+    assert solve(pressed_plate(0.6, 50.0)).converged
+    with pytest.raises(UnheldBody, match="drives a rigid motion that slides along pairs 0 most") as told:
+        solve(pressed_plate(0.1, 50.0))
+    assert told.value.pairs == (0,)
+    with pytest.raises(ModelError, match="tell only 1 of them apart: one .* slides along pairs 0 without friction"):
+        solve(pressed_plate(0.0, 50.0))
