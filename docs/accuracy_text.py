@@ -24,15 +24,15 @@ friction cone, each over the largest force or opening. Times are those of one pr
 
 or `solve_to_accuracy(problem, 0.01)`.
 
-**A single solution.** The solver starts with harmonics up to 3 and estimates the error by single Newton steps on
-neighbouring problems: with more harmonics and more samples, with another friction weight, with fewer modes. It raises
-the knob that dominates, and starts the next solve at the last solution. Masses that rub by themselves close the
-truncation of friction, and from the second set of harmonics on springs do where joints are elastic
+**A single solution.** The solver starts with harmonics up to 3, or 5 where less than 2 % is asked, and estimates the
+error by single Newton steps on neighbouring problems: with more harmonics and more samples, with another friction
+weight, with fewer modes. It raises the knob that dominates, and starts the next solve at the last solution. Masses
+that rub by themselves close the truncation of friction, and above harmonic 3 springs do where joints are elastic
 (`docs/method.md`): both take fewer harmonics than dashpots. A second Newton step sharpens the estimate, unless the
 first one tells of far more than is asked, or of far less where the last harmonics changed little. In large joints
-operator splitting takes their place, as far as it gets. The estimate comes
-with the result, and so does the reason where the accuracy was not reached. It covers the outputs at the given
-frequency, as far as contact solve and modes decide on them. It knows nothing of the mesh's error.
+operator splitting takes their place, as far as it gets. The estimate comes with the result, and so does the reason
+where the accuracy was not reached. It covers the outputs at the given frequency, as far as contact solve and modes
+decide on them. It knows nothing of the mesh's error.
 
 **Modes.** In a scene the modes are raised as well: `reduction.modes`, given or not, is where they begin. They are
 doubled where those left out matter most; mesh, matrices, static responses and the modes already found are kept.

@@ -32,6 +32,8 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import leave_out_idle
 from ewr_fenicsx.weights import use_default_weights
 
+# Accuracy that the first few harmonics hardly ever meet, and what a solve begins with there: the level is spared.
+FINE, FINE_ORDER = 0.02, 5
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
 SAMPLES = 8  # a highest harmonic, to begin with
@@ -107,7 +109,7 @@ def solve_to_accuracy(
     start: PeriodicSolution | None = None,
     tolerance: float = 1e-8,
     *,
-    first: int = FIRST_ORDER,
+    first: int | None = None,
     highest: int | None = None,
     most_unknowns: int = 8000,
     modes: Sequence[int] = (),
@@ -119,8 +121,8 @@ def solve_to_accuracy(
 
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
-    Masses that rub by themselves close the truncation of Coulomb's law, and from the second set of harmonics on springs
-    do where joints are elastic, as long as they find a solution.
+    Masses that rub by themselves close the truncation of Coulomb's law, and above harmonic 3 springs do where joints are
+    elastic, as long as they find a solution.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
     without, a larger set is tried once, and where it fails as well, what was found before stays.
 
@@ -130,7 +132,7 @@ def solve_to_accuracy(
         accuracy: Largest relative error of the outputs' oscillation over a period.
         start: A solution on the same model, of a neighbouring problem, or None.
         tolerance: Largest residual norm of each solve.
-        first: Highest harmonic of the first solve, unless loads need more.
+        first: Highest harmonic of the first solve, unless loads need more; None: 3, or 5 for accuracies below 2 %.
         highest: Highest harmonic that may be used; None: 63 times the lowest that is loaded, or twice the highest.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by the modes left out
@@ -155,6 +157,8 @@ def solve_to_accuracy(
     driven = [h for h in problem.driven if h]
     if highest is None:
         highest = max(MOST_HARMONICS * min(driven, default=1), 2 * max(driven, default=1))
+    if first is None:
+        first = FIRST_ORDER if accuracy >= FINE else FINE_ORDER
     for name, count in (("first", first), ("highest", highest), ("most_unknowns", most_unknowns)):
         if not is_whole(count, 1):
             raise ModelError(f"{name} = {count!r}; give a whole number from 1")

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
 
-from ewr_fenicsx.accuracy import FIRST_ORDER, AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.accuracy import AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.archard import measure_wear_rate
 from ewr_fenicsx.contact_problem import ContactProblem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
@@ -54,7 +54,7 @@ class AccurateWear:
         Raises:
             NotConverged: The joint has no solution.
         """
-        found, modes = self._solve(replace(self.problem, wear=depth), None, FIRST_ORDER)
+        found, modes = self._solve(replace(self.problem, wear=depth), None, None)
         return self._take(WearStep(0, depth, depth, found.solution), found, modes)
 
     def look_at(self, step: WearStep) -> WearStep:
@@ -82,7 +82,7 @@ class AccurateWear:
         return measure_wear_rate(solution, self.coefficient)
 
     def _solve(
-        self, problem: ContactProblem, start: PeriodicSolution | None, first: int
+        self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None
     ) -> tuple[AccurateSolution, Sequence[int]]:
         """What was found, and which coordinates of its model are modal: on models tried with more there may be none."""
         choice, depth = dict(self.choice), problem.wear

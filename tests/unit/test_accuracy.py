@@ -233,10 +233,16 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
         return replace(solve(problem, start, tolerance, **choice), fallbacks=rungs if start is None else ())
 
     monkeypatch.setattr("ewr_fenicsx.accuracy.solve", solve_late)
-    found = solve_to_accuracy(rub_and_lift_off(), 0.01)
+    found = solve_to_accuracy(rub_and_lift_off(), 0.01, first=3)
     assert len(found.levels) > 1
     assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)
     assert "there may be other solutions" in found.summary()
+
+
+@pytest.mark.parametrize(("accuracy", "order"), [(0.1, 3), (0.02, 3), (0.01, 5)])
+def test_a_fine_accuracy_begins_with_more_harmonics(accuracy, order):
+    """Three hardly ever meet it: their solve, and the look at its error, are spared."""
+    assert solve_to_accuracy(rub_and_lift_off(), accuracy).levels[0].orders[-1] == order
 
 
 def test_unknowns_are_limited():
