@@ -22,7 +22,7 @@ friction cone, each over the largest force or opening. Times are those of one pr
     [solver]
     accuracy = 0.01          # in place of harmonics and samples
 
-or `solve_to_accuracy(problem, 0.01)`.
+or `solve(problem, accuracy=0.01)`; `solve_to_accuracy` returns the way there as well.
 
 **A single solution.** The solver starts with harmonics up to 3, or 5 where less than 2 % is asked, and estimates the
 error by single Newton steps on neighbouring problems: with more harmonics and more samples, with another friction

@@ -12,7 +12,7 @@ _HOME = {
     "ContactLaws": "contact_laws",
     "ContactProblem": "contact_problem",
     "PeriodicSolution": "solution",
-    "solve": "newton",
+    "solve": "solving",
     "solve_to_accuracy": "accuracy",
     "integrate": "time_integration",
     "frequency_response": "frequency_sweep",

@@ -47,6 +47,8 @@ class PeriodicSolution(PeriodicMotion):
         stages: Wall time of the solve by stage [s].
         left_out: Harmonics at which the contact forces are zero by symmetry, so that the solve did without.
         why_left_out: By which symmetry.
+        estimated_error: Of the outputs, relative, where an accuracy was asked of ``solve``; NaN: nobody looked.
+        short: Why it is not as accurate as asked, and what to do; "" where it is, or where nothing was asked.
     """
 
     converged: bool
@@ -59,6 +61,8 @@ class PeriodicSolution(PeriodicMotion):
     stages: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[int, ...] = ()
     why_left_out: str = ""
+    estimated_error: float = np.nan
+    short: str = ""
 
     def __repr__(self) -> str:
         where = f"{self.problem.frequency:g} Hz, {self.problem.model.pairs} pairs, harmonics up to {self.orders[-1]}"
@@ -311,6 +315,10 @@ class PeriodicSolution(PeriodicMotion):
             f"{where}: {state} in {self.iterations} Newton step{'s' * (self.iterations != 1)}, "
             f"{self.unknowns} unknowns, residual {self.residual:.1e}, {self.seconds:.2f} s"
         ]
+        if not np.isnan(self.estimated_error):
+            lines.append(f"  estimated error {self.estimated_error:.1g}")
+        if self.short:
+            lines.append(f"  NOT as accurate as asked: {self.short}")
         if not self.touches:
             told = "no pair ever touches: the bodies vibrate apart"
             if not np.all(self.problem.opens):

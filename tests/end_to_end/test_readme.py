@@ -46,11 +46,11 @@ def test_what_follows_the_ten_lines_runs_after_them(tmp_path, monkeypatch):
     exec(compile(code_after("Ten lines of Python"), "README.md", "exec"), names)
     snippets = re.findall(r"(?:^(?:    .*)?\n)+", README.split("## Ten lines of Python")[1], flags=re.MULTILINE)
     accuracy, many, worn = (
-        next(s for s in snippets if name in s) for name in ("solve_to_accuracy(", "frequency_response(", "evolve_wear(")
+        next(s for s in snippets if name in s) for name in ("accuracy=0.01", "frequency_response(", "evolve_wear(")
     )
     assert many == worn, "one block"
     exec(compile(textwrap.dedent(accuracy), "README.md", "exec"), names)
-    assert names["found"].reached
+    assert names["accurate"].estimated_error <= 0.01 and not names["accurate"].short
     (tmp_path / "demos").symlink_to(ROOT / "demos")
     exec(compile(textwrap.dedent(many), "README.md", "exec"), names)
     peak = {key: np.abs(curve.output("mass")[:, 1]).max() for key, curve in names["curves"].items()}

@@ -25,7 +25,7 @@ ORDER = [
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
     "periodicity", "snes", "initial_states", "time_integration", "symmetry", "continuation", "splitting",
     "warm_starts", "long_splitting", "ladder", "weights",
-    "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "cost", "progress", "task_sharing",
+    "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "solving", "cost", "progress", "task_sharing",
     "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep", "archard",
     "wear_store", "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure",
     "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "facing", "elasticity",

@@ -1,0 +1,65 @@
+"""``solve`` as users call it: with the harmonics that a problem gives, or with those that an accuracy takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ewr_fenicsx import newton
+from ewr_fenicsx.accuracy import solve_to_accuracy
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.snes import LinearSolver
+from ewr_fenicsx.solution import PeriodicSolution
+
+
+def solve(
+    problem: ContactProblem,
+    start: PeriodicSolution | None = None,
+    tolerance: float = 1e-8,
+    *,
+    accuracy: float | None = None,
+    linear_solver: LinearSolver = "elimination",
+    fallbacks: bool = True,
+    raise_on_failure: bool = True,
+) -> PeriodicSolution:
+    """Periodic solution of a contact problem.
+
+    Args:
+        problem: The problem.
+        start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
+        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces; from 1e-13 to
+            1e-3.
+        accuracy: Largest relative error of the outputs that is asked for: harmonics, samples and weights are then
+            chosen, not the problem's own (``solve_to_accuracy`` says how, and returns more). None: those of the problem.
+        linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
+            and leaves it to PETSc's KSP. Both take the same steps.
+        fallbacks: Whether to go through the ladder where the first attempt fails (``newton.solve`` lists its rungs).
+        raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
+
+    Returns:
+        The solution: motions, contact forces and figures of merit, and how it was found. With an accuracy, its
+        ``estimated_error``, and in ``short`` and its summary why it is not as accurate as asked, where it is not.
+
+    Raises:
+        ModelError: An argument makes no sense, or is not for an accuracy.
+        NotConverged: No solution was found; carries the best iterate and the rungs tried.
+    """
+    if accuracy is None:
+        return newton.solve(
+            problem,
+            start,
+            tolerance,
+            linear_solver=linear_solver,
+            fallbacks=fallbacks,
+            raise_on_failure=raise_on_failure,
+        )
+    if linear_solver != "elimination" or not fallbacks:
+        raise ModelError("linear_solver and fallbacks: an accuracy, which takes several solves, chooses them; leave them out")
+    try:
+        found = solve_to_accuracy(problem, accuracy, start, tolerance)
+    except NotConverged as error:
+        if raise_on_failure:
+            raise
+        return error.best
+    short = f"{found.limit}; {found.remedy}" if found.limit else ""
+    return replace(found.solution, estimated_error=found.estimate.total, short=short)
