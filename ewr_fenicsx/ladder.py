@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -25,11 +24,13 @@ import numpy as np
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
+from ewr_fenicsx.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
 from ewr_fenicsx.long_splitting import split_at_length
-from ewr_fenicsx.reduced_model import ComplexArray, RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
-from ewr_fenicsx.splitting import Splitting, can_split, find_near, resample
+from ewr_fenicsx.splitting import Splitting, can_split
+from ewr_fenicsx.warm_starts import try_starts
 
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
@@ -51,7 +52,6 @@ NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a fai
 LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
 BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
 ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
-SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
 SPLIT_STEPS = 25  # Newton steps a run from where it ends: those that arrive take fewer
 
 Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
@@ -86,23 +86,12 @@ def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
 
 
 def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
-    """Newton from where a splitting ends, on few harmonics first; full stick where that is nowhere near a solution.
-
-    High harmonics drive bodies far above their modes, where it may not end: what was found with fewer then starts it.
-    """
+    """Newton from where a splitting ends, or ever nearer to there; full stick where that is nowhere near a solution."""
     none = begin_at_full_stick(balance)
     if none.residual <= tolerance or not can_split(balance):
         return none
-    begin, start = Splitting.begin, None
-    for orders in choose_sets(balance.basis.orders, SPLIT_LEVELS, find_loaded(balance)):
-        level = balance if orders == balance.basis.orders else restrict(balance, orders)
-        if (found := find_near(level, begin)) is None:
-            break
-        state, unknowns = found
-        begin, start = partial(resample, state), embed(level.unpack(unknowns), level, balance)
-    if start is None:
-        return none
-    return run_newton(balance, balance.pack(*start), tolerance, linear_solver, SPLIT_STEPS, near=True)
+    starts = ((unknowns, True, 0) for unknowns in come_near_through_sets(balance, Splitting.begin))
+    return try_starts(balance, starts, tolerance, linear_solver, SPLIT_STEPS) or none
 
 
 def climb(
@@ -138,31 +127,6 @@ def climb(
     if not attempt.converged and held:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
     return replace(attempt, iterations=steps)
-
-
-def restrict(balance: HarmonicBalance, orders: tuple[int, ...]) -> HarmonicBalance:
-    """The balance with fewer harmonics."""
-    return HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
-
-
-def find_loaded(balance: HarmonicBalance) -> list[int]:
-    """Harmonics with a load."""
-    return [h for h, f in balance.system.load.items() if np.any(f)]
-
-
-def choose_sets(orders: tuple[int, ...], levels: tuple[int, ...], loaded: list[int]) -> list[tuple[int, ...]]:
-    """Growing sets of harmonics up to each of ``levels``, all with the loaded ones, that end with ``orders``."""
-    lowest = max([h for h in loaded if h], default=1)
-    sets = [tuple(h for h in orders if h <= top) for top in levels if lowest <= top and 1.6 * top < orders[-1]]
-    return [s for s in dict.fromkeys(sets) if s and s != (0,)] + [orders]
-
-
-def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: HarmonicBalance):
-    """Forces and rigid coordinates with harmonics added at zero."""
-    forces = np.zeros((len(level.basis.orders), level.rows), dtype=complex)
-    for j, h in enumerate(below.basis.orders):
-        forces[level.basis.orders.index(h)] = found[0][j]
-    return forces, found[1]
 
 
 def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:

@@ -8,7 +8,6 @@ what the two have in common is the solution.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 
@@ -49,10 +48,7 @@ def split_at_length(
     if not are_projections(balance):
         return None
     starts = _approach(balance, forces, motion)
-    first = next(starts, None)
-    if first is None:
-        return None
-    return try_starts(balance, chain([first], starts), tolerance, linear_solver, NEWTON_STEPS, MOST_STEPS)
+    return try_starts(balance, starts, tolerance, linear_solver, NEWTON_STEPS, MOST_STEPS)
 
 
 def _approach(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[Start]:

@@ -22,7 +22,7 @@ Sources: Lions & Mercier (1979), doi:10.1137/0716071; Walker & Ni (2011), doi:10
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,7 @@ WORTHWHILE = 200
 # Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
 # that, from which it may still arrive.
 TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
+LOOKS, NEARER = 3, 0.1  # how often Newton's method may begin from a splitting, and the defect's share from one to the next
 # Over the unit of force: the least forces beside which a defect is measured, and the largest state that leads anywhere.
 LEAST, LOST = 1e-4, 1e6
 
@@ -212,15 +213,23 @@ def resample(state: RealArray, splitting: Splitting) -> RealArray:
     return scipy.signal.resample(state, splitting.basis.samples)
 
 
-def find_near(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> tuple[RealArray, RealArray] | None:
-    """State and unknowns near a solution, where a splitting begun in the state of ``begin`` leads there; else None."""
+def come_near(
+    balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]
+) -> Iterator[tuple[RealArray, RealArray]]:
+    """State and unknowns near a solution, ever nearer, as far as a splitting begun in the state of ``begin`` leads."""
     goal = TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE
     try:
         splitting = Splitting(balance)
-        found = settle(splitting, begin(splitting), goal)
+        state = begin(splitting)
+        for _ in range(LOOKS):
+            found = settle(splitting, state, goal)
+            if found.defect >= NEAR_ENOUGH * goal:
+                return
+            state = found.state
+            yield state, splitting.unknowns(state)
+            goal *= NEARER
     except np.linalg.LinAlgError:  # as next to a mode without damping
-        return None
-    return (found.state, splitting.unknowns(found.state)) if found.defect < NEAR_ENOUGH * goal else None
+        return
 
 
 def settle(splitting: Splitting, state: RealArray, tolerance: float, effort: Effort = QUICK) -> Split:

@@ -10,10 +10,11 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.growing_sets import come_near_through_sets
 from ewr_fenicsx.newton_step import NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.splitting import WORTHWHILE, are_projections, find_near
+from ewr_fenicsx.splitting import WORTHWHILE, Splitting, are_projections, come_near
 
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
 FAR = 5e-3  # residual of what is carried over, above which a splitting may be worth its while
@@ -59,12 +60,12 @@ def try_starts(
     linear_solver: LinearSolver,
     limit: int,
     most: float = np.inf,
-) -> Attempt:
-    """Newton from one start after the other until it converges; the best attempt, with the steps of all of them.
+) -> Attempt | None:
+    """Newton from one start after the other until it converges; the best attempt, with the steps of all; None of none.
 
     Args:
         balance, tolerance, linear_solver, limit: As in ``run_newton``.
-        starts: One at least.
+        starts: Unknowns, and so on.
         most: Newton steps after which no further start is tried.
     """
     attempts, steps = [], 0
@@ -73,7 +74,7 @@ def try_starts(
         steps += attempts[-1].iterations + taken
         if attempts[-1].converged or steps >= most:
             break
-    return replace(min(attempts), iterations=steps)
+    return replace(min(attempts), iterations=steps) if attempts else None
 
 
 def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:
@@ -89,13 +90,15 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
     same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
     left = np.linalg.norm(balance.residual(carried))
-    # each once, and only where it is asked for
-    linearise, near = cache(lambda: balance.linearise(carried, motion)), cache(lambda: split(balance, forces, motion))
+    linearise = cache(lambda: balance.linearise(carried, motion))  # once, and only where it is asked for
     least = WORTHWHILE if same else GUIDED_WORTHWHILE
     many = left > max(FAR, tolerance) and balance.size >= least and linearise().unknowns_left >= least
-    splits = many and near() is not None
-    if splits:
-        yield near(), True, 0
+    splits = False
+    for near in list_near(balance, forces, motion, few_first=same) if many else ():
+        splits = True
+        yield near, True, 0
+    if same and splits:
+        return
     if same or left <= tolerance:
         yield carried, True, 0
         yield carried, False, 0
@@ -104,7 +107,7 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     guided = step_from(linearise(), carried)
     yield guided, False, 1
     if not splits:
-        yield guided if near() is None else near(), True, 0
+        yield next(split(balance, forces, motion), guided), True, 0
 
 
 def list_predicted(
@@ -113,17 +116,34 @@ def list_predicted(
     """Where to start from forces and motions that need not fit each other, as in ``guide``."""
     unknowns = balance.pack(forces, rigid)
     step = balance.linearise(unknowns, motion)
-    if step.unknowns_left >= WORTHWHILE and (near := split(balance, forces, motion)) is not None:
-        yield near, True, 0
+    if step.unknowns_left >= WORTHWHILE:
+        for near in split(balance, forces, motion):
+            yield near, True, 0
     yield step_from(step, unknowns), False, 1
 
 
-def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> RealArray | None:
-    """Unknowns near a solution, where a splitting ends that begins at forces and motions as in ``guide``; else None."""
-    if not are_projections(balance):
-        return None
-    found = find_near(balance, lambda splitting: splitting.join(forces, motion))
-    return None if found is None else found[1]
+def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[RealArray]:
+    """Unknowns ever nearer a solution, where a splitting leads that begins at forces and motions as in ``guide``."""
+    if are_projections(balance):
+        for _, unknowns in come_near(balance, lambda splitting: splitting.join(forces, motion)):
+            yield unknowns
+
+
+def list_near(
+    balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, *, few_first: bool
+) -> Iterator[RealArray]:
+    """What ``split`` finds; where that is nothing, what splittings on few harmonics first do, if these may be tried."""
+    known = None
+    for known in split(balance, forces, motion):
+        yield known
+    if known is not None or not few_first or not are_projections(balance):
+        return
+
+    def begin(splitting: Splitting) -> RealArray:
+        kept = [balance.basis.orders.index(h) for h in splitting.balance.basis.orders]
+        return splitting.join(forces[kept], motion[kept])
+
+    yield from come_near_through_sets(balance, begin)
 
 
 def guide(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:

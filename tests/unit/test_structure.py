@@ -24,7 +24,7 @@ ORDER = [
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "indicators", "periodic_motion", "solution", "contact_state",
     "periodicity", "snes", "initial_states", "time_integration", "symmetry", "continuation", "splitting",
-    "warm_starts", "long_splitting", "ladder", "weights",
+    "growing_sets", "warm_starts", "long_splitting", "ladder", "weights",
     "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "solving", "cost", "progress", "task_sharing",
     "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep", "archard",
     "wear_store", "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure",

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, snes, solve, warm_starts
+from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, growing_sets, snes, solve, splitting, warm_starts
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.newton_step import Factorisation
+from ewr_fenicsx.snes import run_newton
 from ewr_fenicsx.warm_starts import carry_over, list_starts
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -151,7 +152,7 @@ def test_where_many_pairs_change_status_a_splitting_goes_on_first(change, monkey
 def test_where_hardly_any_does_the_laws_guide_the_start(monkeypatch):
     start = solve(SLIPS)
     asked = []
-    monkeypatch.setattr(warm_starts, "find_near", lambda *_: asked.append(1))
+    monkeypatch.setattr(warm_starts, "come_near", lambda *_: asked.append(1))
     assert solve(replace(SLIPS, frequency=478.0), start).converged and not asked
 
 
@@ -172,6 +173,42 @@ def test_where_a_guided_run_fails_a_splitting_is_the_other_way(monkeypatch):
     found = solve(problem, start)
     assert tried == [False, True] and found.converged and found.fallbacks == ()
     np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())
+
+
+def crowd(monkeypatch, friction: float, harmonics: int = 9, samples: int | None = None) -> tuple[PeriodicSolution, HarmonicBalance]:
+    """A dovetail's solution, and the balance with another friction, in which many pairs count as changing status."""
+    for name in ("WORTHWHILE", "GUIDED_WORTHWHILE"):
+        monkeypatch.setattr(warm_starts, name, 50)
+    start = solve(ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 481.0, harmonics, samples))
+    return start, HarmonicBalance(replace(start.problem, laws=ContactLaws(friction=friction)).system)
+
+
+def test_newton_begins_ever_nearer_before_a_warm_start_is_given_up(monkeypatch):
+    """Runs from where a splitting ended first crept, and those from the forces as they were took 40 steps each."""
+    start, balance = crowd(monkeypatch, 0.25, samples=64)  # as many as the splitting has
+    starts = list(list_starts(start, balance, 1e-8))
+    left = [np.linalg.norm(balance.residual(unknowns)) for unknowns, _, _ in starts]
+    assert len(starts) == 3 and all(near for _, near, _ in starts)
+    assert left[1] < 0.5 * left[0] and left[2] < 0.5 * left[1]
+
+
+def test_a_splitting_that_ends_nowhere_is_begun_with_few_harmonics(monkeypatch):
+    """As a cold start does, which took a few steps where the warm one took a hundred and went to the ladder."""
+    start, balance = crowd(monkeypatch, 0.3, harmonics=15)
+    tops, original = [], splitting.come_near
+
+    def end_nowhere(level, begin):
+        tops.append(level.basis.orders[-1])
+        return iter(()) if len(tops) == 1 else original(level, begin)
+
+    monkeypatch.setattr(warm_starts, "come_near", end_nowhere)
+    monkeypatch.setattr(growing_sets, "come_near", end_nowhere)
+    starts = list(list_starts(start, balance, 1e-8))
+    assert tops == [15, 5, 15] and starts and all(near for _, near, _ in starts)
+    found = run_newton(balance, starts[0][0], 1e-8, "elimination", near=True)
+    assert found.converged
+    wanted = solve(replace(start.problem, laws=ContactLaws(friction=0.3)))
+    np.testing.assert_allclose(balance.unpack(found.unknowns)[0], wanted.forces, atol=1e-6 * np.abs(wanted.forces).max())
 
 
 def test_laws_that_are_no_projections_are_tried_with_unshortened_steps(monkeypatch):
