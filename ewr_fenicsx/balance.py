@@ -38,7 +38,8 @@ class HarmonicBalance:
     Args:
         system: The composed system, with at least one row.
         force_unit: Force that counts as one [N]; None: the norm of the full-stick forces.
-        least_share: Least weight of the mean force in its mean equation, where it has any.
+        least_share: Least weight of the mean force in its mean equation, where it has any; that of the mean displacement
+            rises with it.
     """
 
     def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):
@@ -58,6 +59,7 @@ class HarmonicBalance:
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
             self.static_displacement_row[rows] = law.static_displacement_row
         weak = (self.static_force_row > 0) & (self.static_force_row < least_share)
+        self.static_displacement_row[weak] *= least_share / self.static_force_row[weak]  # what shares a load does still
         self.static_force_row[weak] = least_share
         self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
         if self.basis.has_mean:

@@ -21,9 +21,10 @@ from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout. A pair
-# that sticks only with a mean creeps by about this share, times rho over the default, which an accuracy raises like N.
-MEAN_FRICTION_REGULARISATION = 1e-6
-HANGING = 1e-4  # the same where a body hangs on friction: its pairs share a load, and less is lost in the tolerance
+# that sticks only with a mean creeps by about this share, times rho over the default, which an accuracy raises like N;
+# at a resonance with little damping, a creep of a millionth takes per cents of the amplitude. With less, what the solve
+# leaves over would decide the mean.
+MEAN_FRICTION_REGULARISATION = 1e-7
 
 
 @register_law("tangential", "coulomb")
@@ -50,7 +51,7 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        eps = HANGING if group.hangs_on_friction else MEAN_FRICTION_REGULARISATION
+        eps = MEAN_FRICTION_REGULARISATION
         if "second_tangential" in group.weight:
             return build_in_plane(group, self.friction, self.static_friction, eps)
         friction = group.spread(self.friction)

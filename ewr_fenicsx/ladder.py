@@ -250,8 +250,11 @@ def follow(
     failed: Attempt,
     what: str,
     points: int = BRANCH_POINTS,
+    most_steps: float = np.inf,
 ) -> Attempt:
     """Trace a branch by arc length, past folds, from a solution at ``begin`` to the goal at a parameter of one.
+
+    It is left after so many ``points``, or Newton steps.
 
     Returns:
         The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
@@ -259,7 +262,7 @@ def follow(
     here, steps, reach = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
     branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
     for _ in range(points):
-        if (point := next(branch, None)) is None:
+        if steps > most_steps or (point := next(branch, None)) is None:
             break
         steps += point.steps
         if point.parameter < BEHIND:

@@ -35,7 +35,7 @@ from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.warm_starts import go_on_from, guide
-from ewr_fenicsx.weights import approach_weights, has_own_weights, use_default_weights
+from ewr_fenicsx.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -49,6 +49,7 @@ TIGHTEST, LOOSEST = 1e-13, 1e-3
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
+USUAL_WAY = "from the default weights"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
@@ -121,7 +122,7 @@ def solve(
     balance, best, attempts, tried = None, None, [], []
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
-        rungs = list_rungs(problem, balance, start, tolerance, linear_solver)
+        rungs = list_rungs(problem, balance, start, tolerance, linear_solver, fallbacks)
         for name, rung in rungs if fallbacks else islice(rungs, 1):
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].reason}")
@@ -131,7 +132,7 @@ def solve(
             best = min(best or begin_at_full_stick(balance), attempts[-1])
     if attempts and attempts[-1].usual:
         asked, problem = use_default_weights(asked), use_default_weights(problem)
-    fell_back = tuple(tried) if len(tried) > 1 else ()
+    fell_back = tuple(tried) if len(tried) > 1 or any(told.startswith(USUAL_WAY) for told in tried) else ()
     end = time.perf_counter()
     solution = include_idle(wrap(problem, balance, attempts, fell_back, end - begin), asked)
     iterated = balance is not None and not balance.linear
@@ -155,10 +156,12 @@ def list_rungs(
     start: PeriodicSolution | None,
     tolerance: float,
     linear_solver: LinearSolver,
+    fallbacks: bool = True,
 ) -> Iterator[tuple[str, Callable[[Attempt | None], Attempt]]]:
     """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
 
-    The first way has no attempt before it. An attempt counts its own Newton steps only.
+    The first way has no attempt before it, and takes no ladder unless ``fallbacks`` may follow. An attempt counts its
+    own Newton steps only.
     """
     if balance.linear:
         yield "one linear solve", lambda _: solve_linear(balance, tolerance)
@@ -168,11 +171,13 @@ def list_rungs(
     own = has_own_weights(problem)
     levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
     limit = OWN_STEPS if own and not problem.system.closures else None
-    yield "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
-    if own:
+    cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
+    if own:  # the default ones take all rungs that there are
         given = (problem, balance, start, tolerance, linear_solver)
-        yield "from the default weights", lambda _: leave_default_weights(*given)
-        return  # which took all rungs there are with these
+        usual = USUAL_WAY, lambda _: leave_default_weights(*given)
+        yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
+        return
+    yield cold
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))

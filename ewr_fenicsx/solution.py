@@ -16,7 +16,7 @@ from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
-from ewr_fenicsx.walking import DOUBTFUL, MAY_WALK, walks
+from ewr_fenicsx.walking import measure_walk
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -132,8 +132,8 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem)
-        if self.rigid.size and walks(*self._pose(), DOUBTFUL):
-            lines.append(MAY_WALK)
+        if self.rigid.size and (walk := measure_walk(*self._pose())).slow:
+            lines.append(str(walk))
         if self.unstable:
             unstable = f"unstable: motions in time leave it{tell_where_to(self.alternates, self.multiplier)}"
         if self.fallbacks:

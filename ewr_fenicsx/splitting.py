@@ -157,7 +157,7 @@ class Splitting:
         """The same for the mean. Friction sees nothing of it but what the balance adds to its mean equation."""
         balance, compliance, known = self.balance, self.balance.compliance, self.known
         share = np.where(self.by_rate, self.ratio * balance.firm.static_force_row, 0.0)
-        stiffness = np.where(self.by_rate, self.ratio * balance.static_displacement_row, self.scale)
+        stiffness = np.where(self.by_rate, self.ratio * balance.firm.static_displacement_row, self.scale)
         matrix = np.diag(1.0 + share) + stiffness[:, None] * compliance.flexibility[0].real
         moved = -stiffness * (compliance.free_motion[0].real + np.where(self.by_rate, 0.0, self.offset))
         turned, seen = stiffness[:, None] * balance.rigid_motion, compliance.rigid_motion.T

@@ -7,36 +7,79 @@ cannot carry the mean load, the springs alone would hold the body, drawn out to 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
 
-NOTICED = 1e-2  # share of the largest friction force; bodies that friction holds have 1e-4 or less
-DOUBTFUL = 3e-4  # share above which a body that hangs on friction walks slowly, or few harmonics say so
+NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
+HELD = 3e-6  # share below which friction holds it: what decides its mean force leaves less than 1e-6
+SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
     "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
     "is periodic; add a support or friction, or take from the load"
 )
-MAY_WALK = (
-    "a body that hangs on friction may walk slowly: friction does not carry all of the mean load, and where the body "
-    "is on average means nothing; see what more harmonics change, and whether it moves on in integrate(problem)"
-)
 
 
-def walks(balance: HarmonicBalance, unknowns: RealArray, share: float | None = None) -> bool:
-    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance.
+class Walk(NamedTuple):
+    """How a body that hangs on friction moves on; its way is right to the order.
 
-    ``share`` of the largest friction force is how much; ``NOTICED`` where none is given.
+    ``share``: of the largest friction force, that friction leaves to springs; 0 where no body hangs on friction.
+    ``way``: that it goes in a cycle [m]. ``sliding``: the longest way that its pairs slide to and fro in one [m].
     """
-    share = NOTICED if share is None else share
+
+    share: float
+    way: float
+    sliding: float
+
+    @property
+    def slow(self) -> bool:
+        """Whether it walks so little that the motion is nearly periodic, and so much that it matters."""
+        return self.share > HELD and self.way > SLOW * self.sliding
+
+    def __str__(self) -> str:
+        return (
+            f"a body that hangs on friction may walk slowly, by the order of {self.way:.0e} m a cycle, where its pairs "
+            f"slide {self.sliding:.0e} m: slip and wear of single pairs may be off by as much, and where the body is on "
+            "average means nothing; see what more harmonics change, and whether it moves on in integrate(problem)"
+        )
+
+
+def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
+    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
+    return measure_walk(balance, unknowns).share > NOTICED
+
+
+def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
+    """How a body that hangs on friction moves on, at a solution ``(size,)`` of the balance.
+
+    What the mean equation of a law leaves over, the body's moving on would add to friction's mean: while a pair sticks,
+    a velocity over the weight of its dashpot. Where springs close the truncation the default weight stands in, and
+    tells the order of the walk.
+    """
     held = balance.static_displacement_row > 0
     if not (balance.basis.has_mean and np.any(held)):
-        return False
+        return Walk(0.0, 0.0, 0.0)
     forces, rigid = balance.unpack(unknowns)
-    drawn = balance.compliance.motion(forces[:1], rigid)[0].real
-    left_over = balance.static_force_row * forces[0].real + balance.static_displacement_row * drawn  # by the law
-    largest = np.abs(balance.basis.synthesise(forces[:, held])).max()
+    motion = balance.compliance.motion(forces, rigid)
+    mean_force, mean_motion = forces[0].real, motion[0].real
+    left_over = balance.static_force_row * mean_force + balance.static_displacement_row * mean_motion  # by the law
     unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
-    return bool(np.abs(left_over[held]).max() > max(share * largest, unsolved))
+    left_over[np.abs(left_over) <= unsolved] = 0.0
+    omega = balance.compliance.omega or 1.0
+    weight, sticks = omega * balance.system.flexibility, np.ones(balance.rows)
+    seen = balance.sample(forces, motion)
+    for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
+        if np.any(held[rows]):
+            weight[rows] = getattr(law, "rho", weight[rows])
+            sticks[rows] = np.mean(~law.fields(at)["slipping"], axis=0)
+    left, largest = np.abs(left_over[held]), np.abs(balance.basis.synthesise(forces[:, held])).max() or 1.0
+    if not np.any(left):
+        return Walk(0.0, 0.0, 0.0)
+    share_of_stick = max(left @ sticks[held] / left.sum(), 1 / balance.basis.samples)
+    period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)[:, held]
+    way, slid = period * weight[held] * left / share_of_stick, period * np.mean(np.abs(speed), axis=0)
+    return Walk(float(left.max() / largest), float(way.max()), float(slid.max()))

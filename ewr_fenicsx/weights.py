@@ -26,6 +26,10 @@ from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
 # Shares of the way, in the logarithms of the weights, that splittings take one after the other; and how closely those
 # on the way are solved.
 STAGES, STAGE_TOLERANCE = (1 / 3, 2 / 3, 1.0), 1e-4
+DIRECT_STEPS = 12  # Newton steps from the default weights' solution as it is, before: where little slips they arrive
+WALK_STEPS = 300  # Newton steps after which a walk is given up: those that arrive take fewer
+# Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
+FAR = 30.0
 LARGEST_STAGED = 3000  # unknowns: with more, a splitting takes so long that there is one stage only
 FURTHEST = 3.0  # share of the way, of which a trial may not go beyond: weights would overflow
 
@@ -33,6 +37,15 @@ FURTHEST = 3.0  # share of the way, of which a trial may not go beyond: weights 
 def has_own_weights(problem: ContactProblem) -> bool:
     """Whether a problem gives weights of its laws, or their closure, which may cost many steps by themselves."""
     return use_default_weights(problem) is not problem
+
+
+def has_far_weights(problem: ContactProblem) -> bool:
+    """Whether some pair's weight is far from its default, and nothing but dashpots closes the truncation."""
+    if problem.system.closures or not has_own_weights(problem):
+        return False
+    laws = zip(use_default_weights(problem).system.laws, problem.system.laws, strict=True)
+    ratios = [other.rho / law.rho for law, other in laws if hasattr(law, "rho")]
+    return any(np.any(ratio > FAR) or np.any(ratio < 1 / FAR) for ratio in ratios)
 
 
 def use_default_weights(problem: ContactProblem) -> ContactProblem:
@@ -58,7 +71,7 @@ def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProb
 def approach_weights(
     balance: HarmonicBalance, usual: PeriodicSolution, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Come to the weights of a balance from the default ones: by splittings in stages, then along the branch.
+    """Come to the weights of a balance from the default ones: at once, by splittings in stages, or along the branch.
 
     Args:
         balance: The balance to solve.
@@ -71,7 +84,12 @@ def approach_weights(
     neighbour, begin = usual.problem.system, balance.pack(usual.forces, usual.rigid)
     joined = not balance.system.closures  # no path leads from dashpots to springs
     at = blend_weights(neighbour, balance) if joined else None
-    share, here, steps = 0.0, begin, 0
+    share, here, last, steps = 0.0, begin, None, 0
+    if joined:
+        last = run_newton(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True)
+        steps = last.iterations
+        if last.converged:
+            return last
     for stage in STAGES if joined and balance.size <= LARGEST_STAGED else STAGES[-1:]:
         level, goal = (balance, tolerance) if stage == 1.0 else (at(stage), max(tolerance, STAGE_TOLERANCE))
         forces, rigid = balance.unpack(here)
@@ -112,7 +130,7 @@ def walk_weights(
     start = replace(begin, residual=np.inf, iterations=steps, converged=False)
     rest = lambda part: at(share + (1 - share) * part)  # noqa: E731
     told = f"of the way from {share:.0%} to the asked weights"
-    return follow(balance, rest, 0.0, begin.unknowns, tolerance, start, told)
+    return follow(balance, rest, 0.0, begin.unknowns, tolerance, start, told, most_steps=steps + WALK_STEPS)
 
 
 def blend_weights(neighbour: ContactSystem, balance: HarmonicBalance) -> BalanceAt:

@@ -26,11 +26,17 @@ def far():
     return HarmonicBalance(problem.system), solve(weights.use_default_weights(problem))
 
 
+@pytest.fixture
+def indirect(monkeypatch):
+    """No run of Newton's method that leads there at once."""
+    monkeypatch.setattr(weights, "DIRECT_STEPS", 0)
+
+
 def approach(far) -> Attempt:
     return weights.approach_weights(*far, 1e-8, "elimination")
 
 
-def test_stages_lead_where_one_splitting_does_not(far, monkeypatch):
+def test_stages_lead_where_one_splitting_does_not(far, indirect, monkeypatch):
     """To a solution of the asked balance; in one stage a walk has to follow, which takes several times the steps."""
     walks, walk = [], weights.walk_weights
     monkeypatch.setattr(weights, "walk_weights", lambda *given: walks.append(given[2]) or walk(*given))
@@ -42,7 +48,37 @@ def test_stages_lead_where_one_splitting_does_not(far, monkeypatch):
     assert walks and at_once.converged and at_once.iterations > 2 * staged.iterations
 
 
-def test_large_joints_take_one_stage(far, monkeypatch):
+def test_where_little_slips_the_solution_with_default_weights_is_near_enough(far, monkeypatch):
+    """No splitting, and no walk: a few Newton steps from there."""
+    case = hard_cases.Case("lap joint", 0.5, ("reached", 0.3), 0.6, 5, 0.05, "closed", (1e3, 1e-3))
+    problem = hard_cases.pose_case(case)
+    monkeypatch.setattr(weights, "split_at_length", lambda *_: pytest.fail("no splitting is needed"))
+    usual = solve(weights.use_default_weights(problem))
+    found = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
+    assert found.converged and 0 < found.iterations <= weights.DIRECT_STEPS
+
+
+@pytest.mark.parametrize(("factor", "at_once"), [(1e3, True), (1e-3, True), (3.0, False)])
+def test_weights_far_off_begin_with_the_default_ones_and_say_so(factor, at_once):
+    """A cold start with weights a thousandfold off fails in a third of the cases, after forty steps."""
+    case = hard_cases.Case("lap joint", 1.0, ("reached", 0.3), 0.6, 5, 0.05, "closed", (1.0, factor))
+    problem = hard_cases.pose_case(case)
+    assert weights.has_far_weights(problem) == at_once
+    solution = solve(problem)
+    assert hard_cases.judge(solution)[0] == "converged" and solution.problem.rho_tangential is not None
+    assert [rung.split(":")[0] for rung in solution.fallbacks] == ["from the default weights"] * at_once
+    alone = solve(problem, fallbacks=False, raise_on_failure=False)
+    assert alone.fallbacks == (), "by itself it takes no ladder"
+
+
+def test_a_walk_that_takes_long_is_given_up(far, indirect, monkeypatch):
+    monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
+    monkeypatch.setattr(weights, "WALK_STEPS", 5)
+    found = approach(far)
+    assert not found.converged and "the branch was lost or too long" in found.reason
+
+
+def test_large_joints_take_one_stage(far, indirect, monkeypatch):
     tried, split = [], weights.split_at_length
     monkeypatch.setattr(weights, "split_at_length", lambda level, *given: tried.append(level) or split(level, *given))
     monkeypatch.setattr(weights, "LARGEST_STAGED", far[0].size - 1)
@@ -51,16 +87,18 @@ def test_large_joints_take_one_stage(far, monkeypatch):
 
 
 @pytest.mark.parametrize(("lost", "begins"), [(False, 2 / 3), (True, 0.0)])
-def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far, monkeypatch, lost, begins):
+def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far, indirect, monkeypatch, lost, begins):
     balance, begun = far[0], []
     split, follow, run = weights.split_at_length, weights.follow, weights.run_newton
     monkeypatch.setattr(
         weights, "split_at_length", lambda level, *given: None if level is balance else split(level, *given)
     )
-    monkeypatch.setattr(weights, "follow", lambda *given: begun.append(given[-1]) or follow(*given))
+    monkeypatch.setattr(weights, "follow", lambda *given, **most: begun.append(given[-1]) or follow(*given, **most))
     if lost:  # as where what a splitting ends at is no solution
 
         def run_except_first(*given, **options):
+            if given[4] == 0:
+                return run(*given, **options)
             monkeypatch.setattr(weights, "run_newton", run)
             return Attempt(given[1], np.inf, 1, "", False)
 

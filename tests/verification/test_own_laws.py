@@ -25,7 +25,7 @@ import ewr_fenicsx
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_state import SLIP, STICK, classify_contact, list_histories
-from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION, Coulomb
 from ewr_fenicsx.dashpots import read_weight
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
@@ -353,7 +353,7 @@ class Rail(LawKind):
         return ("second_tangential",)
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        return (Coulomb(group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, 1e-6),)
+        return (Coulomb(group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, MEAN_FRICTION_REGULARISATION),)
 
 
 def test_a_rail_in_space_is_a_joint_in_the_plane():
