@@ -241,6 +241,17 @@ def receptance(
     return superpose(read(modes.shapes), modes.gain(omega), modes.shapes.T @ forces)
 
 
+def measure_resistance(model: ReducedModel, rows: RealArray, omega: float) -> RealArray:
+    """``(m,)`` flexibility ``b (K + omega^2 M)^-1 b^T`` of each row against stiffness and inertia together [m/N].
+
+    Modes far below ``omega`` give little to it, however soft they are, and those far above all that they give at rest.
+    """
+    modes = find_undamped_modes(model)
+    if modes is None:
+        return np.einsum("mn,nm->m", rows, scipy.linalg.solve(model.stiffness + omega**2 * model.mass, rows.T))
+    return (rows @ modes.shapes) ** 2 @ (1 / (modes.stiffness + omega**2 * modes.mass))
+
+
 def superpose(read: RealArray, gain: ComplexArray, excited: ComplexArray) -> ComplexArray:
     """``(p, k)`` response that rows read ``(p, n)`` where each of ``n`` modes answers by its gain to ``(n, k)``."""
     if np.iscomplexobj(excited):

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ewr_fenicsx.closure import find_masses, find_springs
-from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense
+from ewr_fenicsx.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
 from ewr_fenicsx.contact_laws import ContactLaws
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError
@@ -23,6 +23,9 @@ from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.statics import find_holding
 
+# Times the flexibility against stiffness and inertia together, above which a row's static one is that of soft springs,
+# far below their resonance, and not the pair's: five times a mode's frequency changes nothing.
+SOFT = 30.0
 # rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
 DEFAULT_NORMAL_WEIGHT = 10.0
 DEFAULT_TANGENTIAL_WEIGHT = 1.0
@@ -61,6 +64,8 @@ def compose(problem: Statement) -> ContactSystem:
     check_mean(basis, layout)
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
+    if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
+        flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, layout.rows, problem.omega))
     compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
     return ContactSystem(

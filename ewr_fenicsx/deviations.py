@@ -221,13 +221,13 @@ def step_from(
     scheme = TimeScheme(problem, steps, theta)
     rate = 1j * problem.omega * np.array(problem.basis.orders)
     state = State(coordinates.sum(axis=0).real, (rate @ coordinates).real)
-    position, velocity, impulse = scheme.begin(state)
+    position, velocity, carried = scheme.begin(state)
     while True:
-        period = scheme.run_period(position, velocity, impulse, CONTACT_TOLERANCE, SWEEPS)
+        period = scheme.run_period(position, velocity, carried, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):
             return
         yield scheme, period
-        position, velocity, impulse = period.positions[-1], period.velocities[-1], period.impulses[-1]
+        position, velocity, carried = period.positions[-1], period.velocities[-1], period.carried
 
 
 def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: Period) -> tuple[Derivative, ...]:

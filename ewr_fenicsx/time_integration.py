@@ -144,8 +144,8 @@ class SteadyState:
         if name == "gap":
             opening = zero if model.normal is None else self.last.positions[:-1] @ (model.normal @ expansion).T
             return resample(opening + self.scheme.pair_gap, 0.0, samples)
-        motion = self.last.positions if name == "slip" else self.last.velocities
-        slip = motion[:-1] @ (model.rows(along) @ expansion).T if model.tangents else zero
+        motion = self.last.positions[:-1] if name == "slip" else self._rates
+        slip = motion @ (model.rows(along) @ expansion).T if model.tangents else zero
         return resample(slip, 0.0, samples)
 
     def sliding_speed(self, samples: int | None = None) -> RealArray:
@@ -153,8 +153,14 @@ class SteadyState:
         model, expansion = self.problem.model, self.scheme.expansion
         speed = np.zeros((self.scheme.steps, model.pairs))
         for direction in model.tangent_directions:
-            speed = np.hypot(speed, self.last.velocities[:-1] @ (model.rows(direction) @ expansion).T)
+            speed = np.hypot(speed, self._rates @ (model.rows(direction) @ expansion).T)
         return resample(speed, 0.0, samples)
+
+    @property
+    def _rates(self) -> RealArray:
+        """Modal velocities ``(steps, n')`` as friction sees them: what was late in the step before counts."""
+        v, scheme = self.last.velocities[:-1], self.scheme
+        return v + (scheme.thetas - scheme.theta) * (np.roll(v, 1, axis=0) - np.roll(v, 2, axis=0))
 
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
@@ -287,7 +293,7 @@ def integrate(
     if not is_positive(contact_tolerance):
         raise ModelError(f"contact_tolerance = {contact_tolerance!r}; give a positive one, such as 1e-8")
     scheme = TimeScheme(problem, steps, theta)
-    position, velocity, impulse = scheme.begin(choose_start(problem, start))
+    position, velocity, carried = scheme.begin(choose_start(problem, start))
     here = np.concatenate([position, velocity])
     compile_loop()
     begin = time.perf_counter()
@@ -296,8 +302,8 @@ def integrate(
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
     for _ in range(int(periods)):
-        last = scheme.run_period(*np.split(here, 2), impulse, contact_tolerance, sweeps)
-        end, impulse = np.concatenate([last.positions[-1], last.velocities[-1]]), last.impulses[-1]
+        last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
+        end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
         sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
         if not np.all(np.abs(end) < _BOUND):
             reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"

@@ -24,6 +24,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -49,6 +50,16 @@ class State:
     velocity: RealArray
 
 
+class Carried(NamedTuple):
+    """What a step takes over from the one before, row by row ``(m,)``: the impulse [N s], and what is late [m/s].
+
+    Late is the velocity by which modes with a ``theta`` of their own put a row ahead of its end velocity.
+    """
+
+    impulse: RealArray
+    late: RealArray
+
+
 @dataclass(frozen=True, eq=False)
 class Period:
     """One period as stepped, in modal coordinates.
@@ -58,6 +69,7 @@ class Period:
         impulses: ``(steps, m)`` of the contact rows [N s].
         sweeps: Gauss-Seidel sweeps taken.
         unsolved: Steps whose contact solve missed its tolerance.
+        carried: What the next step takes over.
     """
 
     positions: RealArray
@@ -65,6 +77,7 @@ class Period:
     impulses: RealArray
     sweeps: int
     unsolved: int
+    carried: Carried
 
 
 class TimeScheme:
@@ -184,18 +197,17 @@ class TimeScheme:
         """Modal values ``(steps, n')`` at each mode's ``theta`` between those at the begin and at the end of steps."""
         return (1 - self.thetas) * begins + self.thetas * ends
 
-    def begin(self, state: State) -> tuple[RealArray, RealArray, RealArray]:
-        """Where a motion begins: modal coordinates and velocities ``(n',)``, bonded motions left out, and impulses.
+    def begin(self, state: State) -> tuple[RealArray, RealArray, Carried]:
+        """Where a motion begins: modal coordinates and velocities ``(n',)``, bonded motions left out, and what is carried.
 
-        The impulses ``(m,)`` of the step before are those under which the modes with a ``theta`` of their own are in
-        balance [N s].
+        The impulses of the step before are those under which the modes with a ``theta`` of their own are in balance.
         """
         position, velocity = self._contraction @ state.position, self._contraction @ state.velocity
         load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
         force = self.stiffness * position + self.damping @ velocity - load
         fast = self.thetas != self.theta
         impulse = self.dt * np.linalg.lstsq(self.rows[:, fast].T, force[fast], rcond=1e-12)[0]
-        return position, velocity, impulse
+        return position, velocity, Carried(impulse, np.zeros_like(impulse))
 
     def contact_amplitudes(self, period: Period, orders: Sequence[int]) -> tuple[ComplexArray, ComplexArray]:
         """One-sided complex amplitudes of the contact rows' forces [N] and motions [m] over a period, ``(n_h, m)``."""
@@ -204,13 +216,13 @@ class TimeScheme:
         return force, to_amplitudes(period.positions[:-1] @ self.rows.T, orders)
 
     def run_period(
-        self, position: RealArray, velocity: RealArray, impulse: RealArray, tolerance: float, sweeps: int
+        self, position: RealArray, velocity: RealArray, carried: Carried, tolerance: float, sweeps: int
     ) -> Period:
         """Step once through the period.
 
         Args:
             position, velocity: ``(n',)`` modal coordinates at ``tau = 0``.
-            impulse: ``(m,)`` first guess of the first step's impulses [N s].
+            carried: From the step before.
             tolerance: Largest change of an impulse in the last sweep, relative to the period's largest impulse so far.
             sweeps: Largest number of sweeps a step.
         """
@@ -218,25 +230,31 @@ class TimeScheme:
         positions, velocities = np.empty((self.steps + 1, n)), np.empty((self.steps + 1, n))
         impulses = np.empty((self.steps, m))
         positions[0], velocities[0] = position, velocity
+        ends = Carried(*(np.array(given) for given in carried))
         taken, unsolved = compile_loop()(
             self.theta, self.thetas, self.dt,
             self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
             self.rows, self.push, self.echo, self.echoes, self.delassus_columns,
             self.order, self.kind, self.partner, self.twin, self.friction, self.initial_gap, self.given_limit,
-            np.array(impulse), tolerance, sweeps, positions, velocities, impulses,
+            *ends, tolerance, sweeps, positions, velocities, impulses,
         )  # fmt: skip
-        return Period(positions, velocities, impulses, taken, unsolved)
+        return Period(positions, velocities, impulses, taken, unsolved, ends)
 
 
 def step_through_period(
     theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, echo, echoes, delassus_columns,
-    order, kind, partner, twin, friction, initial_gap, given_limit, p, tolerance, most_sweeps,
+    order, kind, partner, twin, friction, initial_gap, given_limit, p, late, tolerance, most_sweeps,
     positions, velocities, impulses,
 ):  # fmt: skip
     """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
 
+    ``p`` and ``late`` are what is carried, and what the next period takes over in the end.
+
     ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
     with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
+
+    A gap counts what is late, and what sticks makes up for it in the next step: else it would creep, and damp what it
+    holds.
     """
     steps, m = impulses.shape
     n = positions.shape[1]
@@ -282,19 +300,19 @@ def step_through_period(
                     if kind[i] == FRICTION:
                         limit = friction[i] * max(0.0, p[partner[i]]) if partner[i] >= 0 else given_limit[k, i]
                         if t < 0:
-                            new = min(limit, max(-limit, p[i] - u_end[i] / delassus_columns[i, i]))
+                            new = min(limit, max(-limit, p[i] - (u_end[i] + late[i]) / delassus_columns[i, i]))
                         else:
                             ii, it = delassus_columns[i, i], delassus_columns[t, i]
                             ti, tt = delassus_columns[i, t], delassus_columns[t, t]
                             determinant = ii * tt - it * ti
                             sticks = determinant > 1e-12 * ii * tt
                             if sticks:
-                                new = p[i] - (tt * u_end[i] - it * u_end[t]) / determinant
-                                new_t = p[t] - (ii * u_end[t] - ti * u_end[i]) / determinant
+                                new = p[i] - (tt * (u_end[i] + late[i]) - it * (u_end[t] + late[t])) / determinant
+                                new_t = p[t] - (ii * (u_end[t] + late[t]) - ti * (u_end[i] + late[i])) / determinant
                                 sticks = np.hypot(new, new_t) <= limit
                             if not sticks:
                                 most = 0.5 * (ii + tt) + np.hypot(0.5 * (ii - tt), 0.5 * (it + ti))
-                                new, new_t = p[i] - u_end[i] / most, p[t] - u_end[t] / most
+                                new, new_t = p[i] - (u_end[i] + late[i]) / most, p[t] - (u_end[t] + late[t]) / most
                                 size = np.hypot(new, new_t)
                                 if size > limit:
                                     new, new_t = new * limit / size, new_t * limit / size
@@ -320,10 +338,13 @@ def step_through_period(
                 gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
                 u[i] = u_end[i]
                 impulses[k, i] = p[i]
+                late[i] = 0.0
             for j in fast:
-                more = dt * (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
+                more = (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
                 for i in range(m):
-                    gap[i] += rows[i, j] * more
+                    late[i] += rows[i, j] * more
+            for i in range(m):
+                gap[i] += dt * late[i]
         for i in range(n):
             end = free[i] + push_of_p[i]
             x[i] += dt * (thetas[i] * end + (1 - thetas[i]) * v[i])
@@ -353,7 +374,7 @@ def compile_loop():
         raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
     vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
     arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, index, matrix, *[index] * 4, vector, vector, matrix]
-    arguments += [vector, "f8", "i8"]
+    arguments += [vector, vector, "f8", "i8"]
     signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
     try:
         return numba.njit(signature, cache=True)(step_through_period)

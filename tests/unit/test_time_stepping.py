@@ -15,7 +15,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_s
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.periodicity import Watch
 from ewr_fenicsx.time_integration import State, integrate, resample
-from ewr_fenicsx.time_stepping import Period, TimeScheme
+from ewr_fenicsx.time_stepping import Carried, Period, TimeScheme
 
 
 def chain_of(pairs: int, seed: int = 0, damping: str = "proportional", press: float = 12.0) -> ReducedModel:
@@ -360,7 +360,7 @@ def test_what_modes_leave_where_they_cancel_is_judged_by_them(mean, swing):
     for _ in range(2):
         moves = mean + swing * np.sin(np.linspace(0, 2 * np.pi, 33))
         positions = np.column_stack([moves, -moves]) + noise * rng.normal(size=(33, 2))
-        change = watch.measure_change(Period(positions, still, still[1:, :1], 0, 0))
+        change = watch.measure_change(Period(positions, still, still[1:, :1], 0, 0, Carried(still[0], still[0])))
     motion = positions.sum(axis=1)
     assert noise / 2 < motion.std() < 2 * noise and change < 0.05
 
