@@ -49,7 +49,7 @@ TIGHTEST, LOOSEST = 1e-13, 1e-3
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
-USUAL_WAY = "from the default weights"  # told even where it is the first way, as for weights far off
+USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
@@ -270,7 +270,8 @@ def start_from_time_stepping(
         if found.residual < GROSS:
             break
     change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
-    told = f"from period to period its motion still changes by {change:.0%} after {steady.periods}"
+    much = f"by {change:.0%}" if change < 1 else "altogether"  # what an extrapolation starts may be far off
+    told = f"from period to period its motion still changes {much} after {steady.periods}"
     doubtful = not steady.converged and change > APERIODIC
     return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
 

@@ -67,7 +67,7 @@ class PlanarCoulomb(FrictionLaw):
 
     def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
         limit, size = self.limit(trial), np.hypot(*(trial[d] for d in PLANE))
-        return trial[self.direction] * np.minimum(1.0, limit / np.maximum(size, np.finfo(float).tiny))
+        return trial[self.direction] * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
 
     def evaluate(self, motion: Motion) -> Response:
         normal, limit = motion.force["normal"], self.limit(motion.force)

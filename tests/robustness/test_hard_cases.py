@@ -155,7 +155,7 @@ def test_where_nothing_leads_to_weights_far_off_the_default_ones_take_their_plac
     for way in ("split_at_length", "walk_weights"):
         monkeypatch.setattr(weights, way, lost)
     solution = solve(problem)
-    assert "from the default weights: solved with these only: as if" in solution.summary()
+    assert "from the default weights and dashpots: solved with these only: as if" in solution.summary()
     assert solution.problem.rho_normal is solution.problem.rho_tangential is None
     usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
     np.testing.assert_allclose(solution.forces, usual.forces, rtol=0, atol=1e-6 * np.abs(usual.forces).max())
@@ -195,7 +195,7 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so(monkeypatch):
     monkeypatch.setattr(newton, "split_at_length", lambda *_: None)
     monkeypatch.setattr(newton, "run_newton", lambda _, unknowns, *given: Attempt(unknowns, 0.1, 1, "as if", False))
     attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
-    assert attempt.reason.startswith("as if (from period to period its motion still changes by ")
+    assert attempt.reason.startswith("as if (from period to period its motion still changes ")
 
 
 @pytest.mark.parametrize(

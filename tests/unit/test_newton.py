@@ -149,7 +149,7 @@ def test_weights_of_ones_own_fail_where_the_default_ones_do(unreachable):
     with pytest.raises(NotConverged, match=r"not solved with the default weights: .* Try fewer") as caught:
         solve(replace(PROBLEMS["floating, slip"], rho_normal=1e9), tolerance=unreachable)
     rungs = caught.value.best.fallbacks
-    assert [rung.split(":")[0] for rung in rungs] == ["cold start", "from the default weights"]
+    assert [rung.split(":")[0] for rung in rungs] == ["cold start", "from the default weights and dashpots"]
     for tried in ("with these: cold start:", "time stepping:", "more sets of harmonics:"):
         assert tried in rungs[1], "what was tried with the default weights is listed as well"
 

@@ -66,7 +66,7 @@ def test_weights_far_off_begin_with_the_default_ones_and_say_so(factor, at_once)
     assert weights.has_far_weights(problem) == at_once
     solution = solve(problem)
     assert hard_cases.judge(solution)[0] == "converged" and solution.problem.rho_tangential is not None
-    assert [rung.split(":")[0] for rung in solution.fallbacks] == ["from the default weights"] * at_once
+    assert [rung.split(":")[0] for rung in solution.fallbacks] == ["from the default weights and dashpots"] * at_once
     alone = solve(problem, fallbacks=False, raise_on_failure=False)
     assert alone.fallbacks == (), "by itself it takes no ladder"
 
