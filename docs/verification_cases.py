@@ -19,6 +19,7 @@ import test_bar_against_wall as bar  # noqa: E402
 import test_den_hartog as den_hartog  # noqa: E402
 import test_den_hartog_resonances as resonances  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
+import test_held_by_friction as held  # noqa: E402
 import test_hertz as hertz  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
 import test_rebound as rebound  # noqa: E402
@@ -90,6 +91,19 @@ def rub_beside_a_mode(beta: float) -> Iterator[Row]:
         for kept in ((1, 3), (1, 3, 5)):
             error = modes.find_error(beta, kept, closure)
             yield bound(f"first harmonics, of {' '.join(map(str, kept))} closed by {name}", error)
+
+
+def hold_by_friction(damping: float, suspension: float) -> Iterator[Row]:
+    """Amplitude of a block that only friction holds, or a soft suspension, at the resonance of the stuck joint."""
+    problem, amplitude = held.shaken_block(damping, suspension)
+    yield compare("amplitude", amplitude, abs(held.solve(problem).output("x")[1]))
+
+
+def step_stuck_node(steps: int) -> Iterator[Row]:
+    """The same of time stepping, where the node that sticks has no mass."""
+    problem, amplitude = held.stuck_node()
+    steady = held.integrate(problem, held.solve(problem), steps, 2000, tolerance=1e-7)
+    yield compare("amplitude", amplitude, abs(steady.output("x")[1]))
 
 
 def drive_jenkins(amplitude: float) -> Iterator[Row]:
@@ -302,6 +316,11 @@ SECTIONS: dict[str, list[Case]] = {
             (f"Two masses, third harmonic near the second mode, beta = {beta}", rub_beside_a_mode, (beta,))
             for beta in modes.DRIVEN
         ),
+        *(
+            (f"Block at its resonance, {held_by}, damping {damping:g}", hold_by_friction, (damping, suspension))
+            for held_by, suspension in (("held by friction alone", 0.0), ("on a soft suspension", 1e3))
+            for damping in (2e-3, 2e-4)
+        ),
         *((f"Jenkins element, X = {amplitude}", drive_jenkins, (amplitude,)) for amplitude in jenkins.AMPLITUDES[1:]),
         *(
             (
@@ -347,6 +366,7 @@ SECTIONS: dict[str, list[Case]] = {
     "Time stepping against closed forms": [
         ("Den Hartog, beta = 0.8, x_f / a = 0.4, 3200 steps", step_den_hartog, ()),
         ("Block that slides to rest, 970 steps", step_block, ()),
+        ("Node without mass that sticks, 800 steps", step_stuck_node, (800,)),
         ("Bar that hits a wall, 100 elements, 1600 steps", step_bar, ()),
     ],
 }

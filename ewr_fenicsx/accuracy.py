@@ -121,8 +121,8 @@ def solve_to_accuracy(
 
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
-    Masses that rub by themselves close the truncation of Coulomb's law, and above harmonic 3 springs do where joints are
-    elastic, as long as they find a solution.
+    Masses that rub by themselves close the truncation of Coulomb's law, and above harmonic 3 springs do where joints
+    are elastic, as long as they find a solution.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
     without, a larger set is tried once, and where it fails as well, what was found before stays.
 

@@ -38,8 +38,8 @@ class HarmonicBalance:
     Args:
         system: The composed system, with at least one row.
         force_unit: Force that counts as one [N]; None: the norm of the full-stick forces.
-        least_share: Least weight of the mean force in its mean equation, where it has any; that of the mean displacement
-            rises with it.
+        least_share: Least weight of the mean force in its mean equation, where it has any; that of the mean
+            displacement rises with it.
     """
 
     def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):

@@ -72,8 +72,8 @@ def frequency_response(
         frequencies: Rising [Hz]; a single number will do. The curve has a solution at each and, where it folds, those
             of the fold as well.
         harmonics: As in ``ContactProblem``.
-        progress: Whether rank 0 shows how far it is and how long the rest will take; so does what the curve is asked for
-            later.
+        progress: Whether rank 0 shows how far it is and how long the rest will take; so does what the curve is
+            asked for later.
         refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
             points are inserted between the given ones until it holds. None: none are.
         tolerance: As in ``solve``.

@@ -24,9 +24,9 @@ import numpy as np
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
 from ewr_fenicsx.long_splitting import split_at_length
-from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.splitting import Splitting, can_split

@@ -30,7 +30,7 @@ def solve(
         tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces; from 1e-13 to
             1e-3.
         accuracy: Largest relative error of the outputs that is asked for: harmonics, samples and weights are then
-            chosen, not the problem's own (``solve_to_accuracy`` says how, and returns more). None: those of the problem.
+            chosen, not the problem's own (``solve_to_accuracy`` says how, and returns more). None: the problem's.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
         fallbacks: Whether to go through the ladder where the first attempt fails (``newton.solve`` lists its rungs).
@@ -54,7 +54,9 @@ def solve(
             raise_on_failure=raise_on_failure,
         )
     if linear_solver != "elimination" or not fallbacks:
-        raise ModelError("linear_solver and fallbacks: an accuracy, which takes several solves, chooses them; leave them out")
+        raise ModelError(
+            "linear_solver and fallbacks: an accuracy, which takes several solves, chooses them; leave them out"
+        )
     try:
         found = solve_to_accuracy(problem, accuracy, start, tolerance)
     except NotConverged as error:

@@ -198,7 +198,7 @@ class TimeScheme:
         return (1 - self.thetas) * begins + self.thetas * ends
 
     def begin(self, state: State) -> tuple[RealArray, RealArray, Carried]:
-        """Where a motion begins: modal coordinates and velocities ``(n',)``, bonded motions left out, and what is carried.
+        """Where a motion begins: modal coordinates and velocities ``(n',)``, but for bonds', and what is carried.
 
         The impulses of the step before are those under which the modes with a ``theta`` of their own are in balance.
         """

@@ -43,8 +43,8 @@ class Walk(NamedTuple):
     def __str__(self) -> str:
         return (
             f"a body that hangs on friction may walk slowly, by the order of {self.way:.0e} m a cycle, where its pairs "
-            f"slide {self.sliding:.0e} m: slip and wear of single pairs may be off by as much, and where the body is on "
-            "average means nothing; see what more harmonics change, and whether it moves on in integrate(problem)"
+            f"slide {self.sliding:.0e} m: slip and wear of single pairs may be off by as much, and where the body is "
+            "on average means nothing; see what more harmonics change, and whether it moves on in integrate(problem)"
         )
 
 

@@ -57,12 +57,17 @@ def test_arrays_of_own_parameters_are_kept_as_well():
 
 
 def test_loads_and_outputs_of_a_model_cannot_be_written_to():
-    """A load that was taken out of a model left the rest as it was; one that was put in ended in an error of numpy's."""
+    """A load taken out of a model was gone without a word; one that was put in ended in an error of numpy's."""
     model = random_structure()
     for kept in (model, pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):
-        for change in (lambda d: d.pop(1), lambda d: d.update({3: 5.0}), lambda d: d.clear(), lambda d: d.__setitem__(3, 5.0)):
+        for change in (
+            lambda d: d.pop(1),
+            lambda d: d.update({3: 5.0}),
+            lambda d: d.clear(),
+            lambda d: d.__setitem__(3, 5.0),
+        ):
             for part in (kept.load, kept.outputs, keep({"a": 1.0})):
-                with pytest.raises(TypeError, match="make another one with dataclasses.replace"):
+                with pytest.raises(TypeError, match="make another one"):
                     change(part)
         assert kept.load.keys() == model.load.keys() and kept.outputs.keys() == model.outputs.keys()
     assert replace(model, load={**model.load, 3: np.ones(model.size)}).load.keys() == {*model.load, 3}

@@ -175,7 +175,9 @@ def test_where_a_guided_run_fails_a_splitting_is_the_other_way(monkeypatch):
     np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())
 
 
-def crowd(monkeypatch, friction: float, harmonics: int = 9, samples: int | None = None) -> tuple[PeriodicSolution, HarmonicBalance]:
+def crowd(
+    monkeypatch, friction: float, harmonics: int = 9, samples: int | None = None
+) -> tuple[PeriodicSolution, HarmonicBalance]:
     """A dovetail's solution, and the balance with another friction, in which many pairs count as changing status."""
     for name in ("WORTHWHILE", "GUIDED_WORTHWHILE"):
         monkeypatch.setattr(warm_starts, name, 50)
@@ -208,7 +210,9 @@ def test_a_splitting_that_ends_nowhere_is_begun_with_few_harmonics(monkeypatch):
     found = run_newton(balance, starts[0][0], 1e-8, "elimination", near=True)
     assert found.converged
     wanted = solve(replace(start.problem, laws=ContactLaws(friction=0.3)))
-    np.testing.assert_allclose(balance.unpack(found.unknowns)[0], wanted.forces, atol=1e-6 * np.abs(wanted.forces).max())
+    np.testing.assert_allclose(
+        balance.unpack(found.unknowns)[0], wanted.forces, atol=1e-6 * np.abs(wanted.forces).max()
+    )
 
 
 def test_laws_that_are_no_projections_are_tried_with_unshortened_steps(monkeypatch):

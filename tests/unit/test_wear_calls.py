@@ -34,7 +34,9 @@ def test_wear_without_the_areas_of_pairs_takes_ones_and_says_so():
     """With areas of one in their place depths were off by four orders of magnitude, without a word."""
     model = dovetail(excitation=200.0)
     without = replace(pose(), model=replace(model, pair_area=None))
-    with pytest.warns(UserWarning, match=r"pair_area was not given: each pair is taken to have an area of 1 m\^2") as told:
+    with pytest.warns(
+        UserWarning, match=r"pair_area was not given: each pair is taken to have an area of 1 m\^2"
+    ) as told:
         worn = evolve_wear(without, 2, 1e-6 * WEAR)
     assert told[0].filename == __file__, "it is the caller's to mend"
     ones = evolve_wear(replace(without, model=replace(model, pair_area=np.ones(6))), 2, 1e-6 * WEAR)

@@ -2,8 +2,8 @@
 
 A block of 1 kg is pressed on two massless contact nodes on springs. A moment shifts the normal force from one to the
 other and back, 50 N each on average; a force along the ground shakes the block. Sideways and upright motion are
-uncoupled, so friction acts under given normal forces and the oscillation is unique. Stuck throughout, with mean friction
-forces of a few newtons, one in each direction, all laws hold exactly: the amplitude is that of the linear joint.
+uncoupled, so friction acts under given normal forces and the oscillation is unique. Stuck throughout, with mean
+friction forces of a few newtons, one in each direction, all laws hold: the amplitude is that of the linear joint.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def test_pairs_that_stick_with_a_mean_force_do_not_damp_a_resonance(damping, har
 
 @pytest.mark.parametrize("damping", [2e-3, 2e-4])
 def test_an_accuracy_of_such_a_body_is_true(damping):
-    """The weight that an accuracy raises made pairs creep more: 1 % was said to be reached where 13 and 36 % were lost."""
+    """The weight that an accuracy raises made pairs creep more: 1 % was "reached" where 13 and 36 % were lost."""
     problem, amplitude = shaken_block(damping)
     solution = solve(problem, accuracy=0.01)
     assert not solution.short and solution.estimated_error <= 0.01
@@ -76,21 +76,24 @@ def test_a_soft_suspension_does_not_weigh_friction(suspension):
     assert not solution.fallbacks
 
 
-def test_time_stepping_adds_no_damping_where_massless_nodes_stick():
-    """Their modes follow by a theta of their own, and crept: 28 % of the amplitude were lost with 800 steps a period."""
-    k, damping = 1e7, 1e-3
-    omega = np.sqrt(k)
+def stuck_node(damping: float = 1e-3) -> tuple[ContactProblem, float]:
+    """A mass on a spring whose other end, without mass, sticks to a wall: at its resonance, and the amplitude [m]."""
+    omega = np.sqrt(STIFFNESS)
     model = ReducedModel(
         mass=np.diag([1.0, 0.0]),
         damping=np.diag([2 * damping * omega, 0.0]),
-        stiffness=[[k, -k], [-k, k]],
+        stiffness=STIFFNESS * np.array([[1.0, -1.0], [-1.0, 1.0]]),
         tangential=[[0.0, 1.0]],
         load={1: [1.0, 0.0]},
         outputs={"x": [1.0, 0.0]},
     )
-    laws = ContactLaws("prescribed", normal_force=1e6, friction=0.3)
-    problem = ContactProblem(model, laws, omega / (2 * np.pi))
-    exact, error = 1 / (2 * damping * k), {}
+    laws = ContactLaws("prescribed", normal_force=1e6, friction=FRICTION)
+    return ContactProblem(model, laws, omega / (2 * np.pi)), 1 / (2 * damping * STIFFNESS)
+
+
+def test_time_stepping_adds_no_damping_where_massless_nodes_stick():
+    """Their modes follow by a theta of their own, and crept: 28 % of the amplitude were lost with 800 steps."""
+    (problem, exact), error = stuck_node(), {}
     for steps in (400, 800):
         steady = integrate(problem, solve(problem), steps, 2000, tolerance=1e-7)
         assert steady.converged
@@ -108,7 +111,7 @@ def test_time_stepping_keeps_a_body_that_friction_holds(steps, error):
 
 
 def test_the_first_stage_of_a_solve_shares_a_load_as_the_last_one_does():
-    """It takes more of the mean force in its equations. With as little of the springs as before, the second stage crept."""
+    """It takes more of the mean force in its equations; with no more of the springs, the second stage crept."""
     problem, _ = shaken_block(2e-3)
     balance = HarmonicBalance(replace(problem, load={**problem.loads, 0: np.array([5.0, -100, 0, 0, 0, 0, 0])}).system)
     held = balance.static_displacement_row > 0

@@ -353,7 +353,11 @@ class Rail(LawKind):
         return ("second_tangential",)
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        return (Coulomb(group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, MEAN_FRICTION_REGULARISATION),)
+        return (
+            Coulomb(
+                group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, MEAN_FRICTION_REGULARISATION
+            ),
+        )
 
 
 def test_a_rail_in_space_is_a_joint_in_the_plane():
