@@ -21,10 +21,17 @@ from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
 
 # Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout. A pair
-# that sticks only with a mean creeps by about this share, times rho over the default, which an accuracy raises like N;
-# at a resonance with little damping, a creep of a millionth takes per cents of the amplitude. With less, what the solve
-# leaves over would decide the mean.
+# that sticks only with a mean creeps by about this share, times rho over the default; at a resonance with little
+# damping a creep of a hundredth of a per cent takes a fifth of the amplitude. Less would be what the solve leaves over.
 MEAN_FRICTION_REGULARISATION = 1e-7
+HANGING = 1e-6  # the same where a body hangs on friction, whose pairs share a load, and rho is at most the default
+
+
+def choose_regularisation(group: PairGroup) -> RealArray:
+    """``(K,)`` shares of the mean friction forces of some pairs in their own equations."""
+    usual = 2 * np.pi / (group.period or 2 * np.pi) * group.flexibility["tangential"]  # the default weight
+    share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
+    return np.maximum(share, MEAN_FRICTION_REGULARISATION)
 
 
 @register_law("tangential", "coulomb")
@@ -51,7 +58,7 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        eps = MEAN_FRICTION_REGULARISATION
+        eps = choose_regularisation(group)
         if "second_tangential" in group.weight:
             return build_in_plane(group, self.friction, self.static_friction, eps)
         friction = group.spread(self.friction)
@@ -66,7 +73,7 @@ class DryFriction(LawKind):
         )
         laws = []
         for kind, given, picked in closures:
-            mean = (0.0, 1.0) if self.static_friction == "zero" else (1.0, eps, springs[picked])
+            mean = (0.0, 1.0) if self.static_friction == "zero" else (1.0, eps[picked], springs[picked])
             if np.any(picked):
                 laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean))
         return tuple(laws)
@@ -103,7 +110,7 @@ class Coulomb(FrictionLaw):
     friction: RealArray
     rho: RealArray
     static_row: float
-    static_force_row: float
+    static_force_row: float | RealArray
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
 

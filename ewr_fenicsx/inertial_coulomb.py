@@ -135,7 +135,7 @@ class InertialCoulomb(FrictionLaw):
     friction: RealArray
     mass: RealArray
     static_row: float
-    static_force_row: float
+    static_force_row: float | RealArray
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
     period: float = 0.0

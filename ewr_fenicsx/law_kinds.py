@@ -112,7 +112,7 @@ class Law(Protocol):
     direction: str
     pairs: np.ndarray
     static_row: float = 1.0
-    static_force_row: float = 0.0
+    static_force_row: float | RealArray = 0.0
     static_displacement_row: float | RealArray = 0.0
     static_target: RealArray | None = None
     stick_flexibility: float | RealArray = 0.0

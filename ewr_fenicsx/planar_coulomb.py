@@ -22,7 +22,7 @@ PLANE = ("tangential", "second_tangential")
 
 
 def build_in_plane(
-    group: PairGroup, friction: float | RealArray, static_friction: str, regularisation: float
+    group: PairGroup, friction: float | RealArray, static_friction: str, regularisation: RealArray
 ) -> tuple[Law, ...]:
     """The two laws of pairs with two tangents, one a direction.
 
@@ -30,7 +30,7 @@ def build_in_plane(
         group: The pairs.
         friction: Coefficient, scalar or ``(K,)``.
         static_friction: ``"resolved"`` or ``"zero"``, as in ``ContactLaws``.
-        regularisation: Share of the mean friction force added to its own equation where it is resolved.
+        regularisation: ``(K,)`` share of the mean friction force added to its own equation where it is resolved.
     """
     rho, flexibility = group.weight[PLANE[0]], group.flexibility[PLANE[0]]  # those of both directions
     springs = regularisation / flexibility if group.hangs_on_friction else 0.0
@@ -58,7 +58,7 @@ class PlanarCoulomb(FrictionLaw):
     friction: RealArray
     rho: RealArray
     static_row: float
-    static_force_row: float
+    static_force_row: float | RealArray
     static_displacement_row: float | RealArray = 0.0
 
     @property

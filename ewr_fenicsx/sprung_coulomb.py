@@ -77,7 +77,7 @@ class SprungCoulomb(FrictionLaw):
     friction: RealArray
     flexibility: RealArray
     static_row: float
-    static_force_row: float
+    static_force_row: float | RealArray
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
     closes: str = "springs"

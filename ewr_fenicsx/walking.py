@@ -15,7 +15,7 @@ from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
-HELD = 3e-6  # share below which friction holds it: what decides its mean force leaves less than 1e-6
+HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (

@@ -97,10 +97,10 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     for near in list_near(balance, forces, motion, few_first=same) if many else ():
         splits = True
         yield near, True, 0
-    if same and splits:
-        return
     if same or left <= tolerance:
         yield carried, True, 0
+        if splits:
+            return
         yield carried, False, 0
         yield step_from(linearise(), carried), False, 1
         return

@@ -188,9 +188,10 @@ def crowd(
 def test_newton_begins_ever_nearer_before_a_warm_start_is_given_up(monkeypatch):
     """Runs from where a splitting ended first crept, and those from the forces as they were took 40 steps each."""
     start, balance = crowd(monkeypatch, 0.25, samples=64)  # as many as the splitting has
-    starts = list(list_starts(start, balance, 1e-8))
+    *starts, (carried, *_) = list_starts(start, balance, 1e-8)
     left = [np.linalg.norm(balance.residual(unknowns)) for unknowns, _, _ in starts]
     assert len(starts) == 3 and all(near for _, near, _ in starts)
+    assert np.array_equal(carried, balance.pack(*carry_over(start, balance)[::2])), "in the end"
     assert left[1] < 0.5 * left[0] and left[2] < 0.5 * left[1]
 
 

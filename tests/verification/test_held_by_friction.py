@@ -45,13 +45,13 @@ def shaken_block(damping: float, suspension: float = 0.0) -> tuple[ContactProble
 @pytest.mark.parametrize("damping", [2e-3, 2e-4])
 @pytest.mark.parametrize("harmonics", [5, 15])
 def test_pairs_that_stick_with_a_mean_force_do_not_damp_a_resonance(damping, harmonics):
-    """With a thousand times the share of the mean force in its equation 4 and 22 % of the amplitude were lost."""
+    """With a hundred times the share of the mean force in its equation 4 and 22 % of the amplitude were lost."""
     problem, amplitude = shaken_block(damping)
     solution = solve(replace(problem, harmonics=harmonics))
     assert np.any(solution.problem.system.laws[-1].static_displacement_row > 0), "it hangs on friction"
-    assert abs(solution.output("x")[1]) == pytest.approx(amplitude, rel=1e-3)
+    assert abs(solution.output("x")[1]) == pytest.approx(amplitude, rel=1e-6 / damping)
     assert abs(np.mean(solution.history("friction_force")[:, 0])) > 4.0, "without a mean force its pairs would slip"
-    assert solution.merit["friction_dissipation"] < 1e-3 * solution.merit["excitation_work"]
+    assert solution.merit["friction_dissipation"] < 1e-6 / damping * solution.merit["excitation_work"]
     assert solution.cautions == ()
 
 
@@ -102,11 +102,11 @@ def test_time_stepping_adds_no_damping_where_massless_nodes_stick():
     assert np.ptp(steady.history("slip")) < 1e-4 * exact, "it sticks"
 
 
-@pytest.mark.parametrize(("steps", "error"), [(400, 1e-3), (800, 1e-4)])
+@pytest.mark.parametrize(("steps", "error"), [(400, 1e-3), (800, 3e-4)])
 def test_time_stepping_keeps_a_body_that_friction_holds(steps, error):
     """It lost 16 % with 1600 steps a period."""
     problem, amplitude = shaken_block(2e-3)
-    steady = integrate(problem, solve(problem), steps, 1000, tolerance=1e-6)
+    steady = integrate(problem, solve(problem), steps, 2000)
     assert steady.converged and abs(steady.output("x")[1]) == pytest.approx(amplitude, rel=error)
 
 
@@ -118,4 +118,4 @@ def test_the_first_stage_of_a_solve_shares_a_load_as_the_last_one_does():
     for stage in (balance, balance.firm):
         share = stage.static_displacement_row[held] * balance.system.flexibility[held]
         np.testing.assert_allclose(share, stage.static_force_row[held], rtol=1e-12)
-    assert np.all(balance.firm.static_force_row[held] > 100 * balance.static_force_row[held])
+    assert np.all(balance.firm.static_force_row[held] > 50 * balance.static_force_row[held])
