@@ -44,10 +44,8 @@ WORTHWHILE = 200
 # Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
 # that, from which it may still arrive.
 TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
-LOOKS, NEARER = (
-    3,
-    0.1,
-)  # how often Newton's method may begin from a splitting, and the defect's share from one to the next
+# How often Newton's method may begin from a splitting, and the share of its defect that is left from one to the next
+LOOKS, NEARER = 3, 0.1
 # Over the unit of force: the least forces beside which a defect is measured, and the largest state that leads anywhere.
 LEAST, LOST = 1e-4, 1e6
 

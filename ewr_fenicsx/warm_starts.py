@@ -65,14 +65,14 @@ def try_starts(
 
     Args:
         balance, tolerance, linear_solver, limit: As in ``run_newton``.
-        starts: Unknowns, and so on.
+        starts: As ``list_starts`` makes them.
         most: Newton steps after which no further start is tried.
     """
     attempts, steps = [], 0
     for unknowns, near, taken in starts:
         attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
         steps += attempts[-1].iterations + taken
-        if attempts[-1].converged or steps >= most:
+        if attempts[-1].converged or attempts[-1].walks or steps >= most:
             break
     return replace(min(attempts), iterations=steps) if attempts else None
 
@@ -80,8 +80,8 @@ def try_starts(
 def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:
     """Where to start from another problem's solution.
 
-    A splitting leads there, where many pairs change status. Else its forces serve as they are where they cause the same
-    motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding step
+    A splitting leads there, where many pairs change status, ever nearer where Newton's method creeps. Its forces serve
+    as they are where they cause the same motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding step
     makes the two fit. Where a run from there creeps from kink to kink and ends at a corner, steps without a shift
     mostly end there too, and the splitting is the other way in any joint.
     """
