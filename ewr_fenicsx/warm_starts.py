@@ -81,9 +81,9 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     """Where to start from another problem's solution.
 
     A splitting leads there, where many pairs change status, ever nearer where Newton's method creeps. Its forces serve
-    as they are where they cause the same motion here (other harmonics, samples or laws). At another frequency, with another model or load, a guiding step
-    makes the two fit. Where a run from there creeps from kink to kink and ends at a corner, steps without a shift
-    mostly end there too, and the splitting is the other way in any joint.
+    as they are where they cause the same motion here (other harmonics, samples or laws). At another frequency, with
+    another model or load, a guiding step makes the two fit. Where a run from there creeps from kink to kink and ends at
+    a corner, steps without a shift mostly end there too, and the splitting is the other way in any joint.
     """
     forces, motion, rigid = carry_over(start, balance)
     carried = balance.pack(forces, rigid)
