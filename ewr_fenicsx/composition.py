@@ -18,7 +18,7 @@ from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.law_kinds import Law, PairGroup, spread_over_pairs
+from ewr_fenicsx.law_kinds import Law, PairGroup, choose_friction_weight, spread_over_pairs
 from ewr_fenicsx.layout import DIRECTIONS, Layout, demand_rows, lay_out
 from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.statics import find_holding
@@ -26,9 +26,8 @@ from ewr_fenicsx.statics import find_holding
 # Times the flexibility against stiffness and inertia together, above which a row's static one is that of soft springs,
 # far below their resonance, and not the pair's: five times a mode's frequency changes nothing.
 SOFT = 30.0
-# rho_N = NORMAL / flexibility, rho_T = TANGENTIAL * omega * flexibility, pair by pair (docs/method.md: what they do)
+# rho_N = this / flexibility, pair by pair (docs/method.md: what weights do)
 DEFAULT_NORMAL_WEIGHT = 10.0
-DEFAULT_TANGENTIAL_WEIGHT = 1.0
 
 
 class Statement(Protocol):
@@ -143,7 +142,7 @@ def choose_weight(problem: Statement, direction: str, pairs: np.ndarray, flexibi
         return pick_pairs(given, pairs, problem.model.pairs)
     if direction == "normal":
         return DEFAULT_NORMAL_WEIGHT / flexibility
-    return DEFAULT_TANGENTIAL_WEIGHT * (problem.omega or 1.0) * flexibility
+    return choose_friction_weight(problem.omega or 1.0, flexibility)
 
 
 def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:

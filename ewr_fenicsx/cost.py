@@ -70,7 +70,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         for h, amplitude in zip(orders, motion.output(name), strict=True):
             if 0 < h <= HIGHEST:
                 output[h - 1, i] = amplitude
-    area = 1.0 if problem.model.pair_area is None else problem.model.pair_area
+    area = problem.model.areas
     names = ("normal_force", "friction_force", "gap", "slip")
     force, friction, gap, slip = (motion.history(name, SAMPLES) for name in names)
     speed = motion.sliding_speed(SAMPLES)

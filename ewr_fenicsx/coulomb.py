@@ -15,7 +15,17 @@ import numpy as np
 from ewr_fenicsx.cone import FrictionLaw, project_on_cone
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.inertial_coulomb import InertialCoulomb
-from ewr_fenicsx.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
+from ewr_fenicsx.law_kinds import (
+    Law,
+    LawKind,
+    MeanBound,
+    Motion,
+    PairGroup,
+    Partial,
+    Response,
+    choose_friction_weight,
+    register_law,
+)
 from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
@@ -29,7 +39,8 @@ HANGING = 1e-6  # the same where a body hangs on friction, whose pairs share a l
 
 def choose_regularisation(group: PairGroup) -> RealArray:
     """``(K,)`` shares of the mean friction forces of some pairs in their own equations."""
-    usual = 2 * np.pi / (group.period or 2 * np.pi) * group.flexibility["tangential"]  # the default weight
+    omega = 2 * np.pi / group.period if group.period else 1.0
+    usual = choose_friction_weight(omega, group.flexibility["tangential"])
     share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
     return np.maximum(share, MEAN_FRICTION_REGULARISATION)
 

@@ -198,7 +198,7 @@ def refine_response(
     found, jumps = join_points(points, found, frequencies, tolerance)
     jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
     solutions = tuple(f.solution for f in found)
-    return FrequencyResponse(solutions, tuple(jumps), find_missing(frequencies, solutions), tuple(found))
+    return FrequencyResponse(solutions, tuple(jumps), find_missing(frequencies, solutions), tuple(found), progress)
 
 
 def _solve_blocks(

@@ -146,6 +146,11 @@ class Law(Protocol):
         return self
 
 
+def choose_friction_weight(omega: float, flexibility: RealArray) -> RealArray:
+    """Default weight ``rho_T = omega d`` of rows of a flexibility ``d``, ``(K,)`` [(m/s)/N]."""
+    return omega * flexibility
+
+
 @dataclass(frozen=True, eq=False)
 class PairGroup:
     """The pairs on which a kind lays its laws, and the problem's scales there.

@@ -13,6 +13,7 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.law_kinds import choose_friction_weight
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
@@ -50,7 +51,8 @@ class Walk(NamedTuple):
 
 def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
-    return measure_walk(balance, unknowns).share > NOTICED
+    left, largest = _leave_over(balance, unknowns)
+    return bool(left.max() > NOTICED * largest)
 
 
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
@@ -60,26 +62,31 @@ def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
     a velocity over the weight of its dashpot. Where springs close the truncation the default weight stands in, and
     tells the order of the walk.
     """
-    held = balance.static_displacement_row > 0
-    if not (balance.basis.has_mean and np.any(held)):
+    left, largest = _leave_over(balance, unknowns)
+    if not np.any(left):
         return Walk(0.0, 0.0, 0.0)
+    held, omega = left > 0, balance.compliance.omega or 1.0
     forces, rigid = balance.unpack(unknowns)
     motion = balance.compliance.motion(forces, rigid)
-    mean_force, mean_motion = forces[0].real, motion[0].real
-    left_over = balance.static_force_row * mean_force + balance.static_displacement_row * mean_motion  # by the law
-    unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
-    left_over[np.abs(left_over) <= unsolved] = 0.0
-    omega = balance.compliance.omega or 1.0
-    weight, sticks = omega * balance.system.flexibility, np.ones(balance.rows)
+    weight, sticks = choose_friction_weight(omega, balance.system.flexibility), np.ones(balance.rows)
     seen = balance.sample(forces, motion)
     for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
         if np.any(held[rows]):
             weight[rows] = getattr(law, "rho", weight[rows])
-            sticks[rows] = np.mean(~law.fields(at)["slipping"], axis=0)
-    left, largest = np.abs(left_over[held]), np.abs(balance.basis.synthesise(forces[:, held])).max() or 1.0
-    if not np.any(left):
-        return Walk(0.0, 0.0, 0.0)
-    share_of_stick = max(left @ sticks[held] / left.sum(), 1 / balance.basis.samples)
-    period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)[:, held]
-    way, slid = period * weight[held] * left / share_of_stick, period * np.mean(np.abs(speed), axis=0)
-    return Walk(float(left.max() / largest), float(way.max()), float(slid.max()))
+            sticks[rows] = 1 - np.mean(law.fields(at).get("slipping", np.zeros((1, rows.size))), axis=0)
+    share_of_stick = max(left @ sticks / left.sum(), 1 / balance.basis.samples)
+    period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)
+    way, slid = period * weight * left / share_of_stick, period * np.mean(np.abs(speed), axis=0)
+    return Walk(float(left.max() / largest), float(way.max()), float(slid[balance.static_displacement_row > 0].max()))
+
+
+def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArray, float]:
+    """Mean force ``(m,)`` that friction leaves to springs, zero where it is the solver's, and the largest one [N]."""
+    held = balance.static_displacement_row > 0
+    if not (balance.basis.has_mean and np.any(held)):
+        return np.zeros(balance.rows), 1.0
+    forces, rigid = balance.unpack(unknowns)
+    drawn = balance.compliance.motion(forces[:1], rigid)[0].real
+    left = np.abs(balance.static_force_row * forces[0].real + balance.static_displacement_row * drawn) * held
+    unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
+    return np.where(left > unsolved, left, 0.0), float(np.abs(balance.basis.synthesise(forces[:, held])).max()) or 1.0

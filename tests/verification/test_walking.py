@@ -227,3 +227,19 @@ def test_a_round_joint_is_held_by_friction_however_its_nodes_are_rounded(off):
     assert abs(solution.output("turned")[0]) < 1e-9
     assert np.any(solution.problem.system.laws[-1].static_displacement_row > 0), "it hangs on friction"
     assert "walk" not in solution.summary()
+
+
+def test_a_law_of_ones_own_need_not_tell_when_it_slips():
+    """The walk is then told as if it stuck throughout, and so too short; it ended in a KeyError."""
+    solution = solve(sled({0: 0.002, 1: 1.0}))
+    system = solution.problem.system
+
+    class Silent(type(system.laws[0])):
+        def fields(self, motion):
+            return {}
+
+    balance = HarmonicBalance(replace(system, laws=tuple(Silent(**vars(law)) for law in system.laws)))
+    unknowns, told = balance.pack(solution.forces, solution.rigid), measure(solution)
+    silent = measure_walk(balance, unknowns)
+    assert not walks(balance, unknowns) and silent.share == told.share > walking.HELD
+    assert 0 < silent.way < told.way
