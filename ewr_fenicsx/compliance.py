@@ -83,7 +83,7 @@ def condense(
     orders: tuple[int, ...],
     generalised_inverse: GeneralisedInverse = "inertia relief",
 ) -> DynamicCompliance:
-    """Compliance of contact rows at the harmonics of one frequency: one factorisation a harmonic.
+    """Compliance of contact rows at the harmonics of one frequency, each computed once.
 
     Args:
         model: The reduced model.
@@ -103,23 +103,15 @@ def condense(
             "give a positive frequency, or where nothing oscillates no load but that of harmonic 0"
         )
     m, names = rows.shape[0], list(model.outputs)
-    readers = np.vstack([rows, *(model.outputs[name] for name in names)])
+    found = _respond_at(model, _Itself(rows), omega, generalised_inverse)
+    readers = found.readers
     modes = scale_rigid_modes(model, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
-    superposed = find_normal_modes(model)
-    if superposed is not None:
-        seen = readers @ superposed.shapes  # once for all harmonics
     for j, h in enumerate(orders):
-        if not m and h not in load:
-            continue
-        if superposed is not None and (h or generalised_inverse != "pinned"):
-            gain = superposed.gain(h * omega)
-            responses[j, :, :m] = superpose(seen, gain, seen[:m].T)
-            if h in load:
-                responses[j, :, m] = seen @ (gain * (superposed.shapes.T @ load[h]))
-        else:
-            forces = np.column_stack([rows.T, load[h]] if h in load else [rows.T])
-            responses[j, :, : forces.shape[1]] = receptance(model, h * omega, readers, forces, generalised_inverse)
+        if m:
+            responses[j, :, :m] = found.to_rows(h)
+        if h in load:
+            responses[j, :, m] = found.to_load(h, load[h])
     motion, rigid_load = readers @ modes, modes.T @ load.get(0, np.zeros(model.size)).real
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)
@@ -136,6 +128,59 @@ def condense(
         rigid_load=rigid_load,
         outputs={n: np.concatenate([responses[:, m + i], rigid[:, m + i]], axis=1) for i, n in enumerate(names)},
     )
+
+
+class Responses:
+    """What contact rows and outputs do under forces at one frequency: to those of the rows, each harmonic once.
+
+    Problems that differ in weights, closure, laws' parameters, samples or in which harmonics they keep share them.
+
+    Args:
+        model, omega, generalised_inverse: As in ``condense``.
+        rows: ``(m, n)`` contact rows.
+    """
+
+    def __init__(self, model: ReducedModel, rows: RealArray, omega: float, generalised_inverse: GeneralisedInverse):
+        self.model, self.omega, self.generalised_inverse = model, omega, generalised_inverse
+        self.readers = np.vstack([rows, *model.outputs.values()])
+        self.rows = self.readers[: rows.shape[0]]
+        self.modes = find_normal_modes(model)
+        if self.modes is not None:
+            self.seen = self.readers @ self.modes.shapes  # once for all harmonics
+        self._known: dict[int, ComplexArray] = {}
+
+    def to_rows(self, h: int) -> ComplexArray:
+        """``(p, m)`` to unit forces at the rows, at a harmonic."""
+        if h not in self._known:
+            self._known[h] = self._respond(h, self.rows.T, self.seen[: len(self.rows)].T if self.modes else None)
+        return self._known[h]
+
+    def to_load(self, h: int, force: ComplexArray) -> ComplexArray:
+        """``(p,)`` to a load ``(n,)`` at a harmonic."""
+        return self._respond(h, force[:, None], self.modes.shapes.T @ force[:, None] if self.modes else None)[:, 0]
+
+    def _respond(self, h: int, forces: ComplexArray, excited: ComplexArray | None) -> ComplexArray:
+        if self.modes is None or (h == 0 and self.generalised_inverse == "pinned"):
+            return receptance(self.model, h * self.omega, self.readers, forces, self.generalised_inverse)
+        return superpose(self.seen, self.modes.gain(h * self.omega), excited)
+
+
+@dataclass(frozen=True, eq=False)
+class _Itself:
+    """An array that equals itself alone: by what something is remembered."""
+
+    array: RealArray
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and other.array is self.array
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+
+@lru_cache(maxsize=2)  # as much memory as a compliance each
+def _respond_at(model: ReducedModel, rows: _Itself, omega: float, generalised_inverse: GeneralisedInverse) -> Responses:
+    return Responses(model, rows.array, omega, generalised_inverse)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from small_models import bar_against_wall, dovetail, random_structure, transform_coordinates
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.compliance import condense, find_normal_modes, receptance, scale_rigid_modes, solve_static
+from ewr_fenicsx.compliance import Responses, condense, find_normal_modes, receptance, scale_rigid_modes, solve_static
 from ewr_fenicsx.errors import ModelError
 
 ORDERS = (0, 1, 2, 5)
@@ -54,6 +55,27 @@ def test_compliance_is_the_response_to_unit_forces(kind, orders):
             np.testing.assert_allclose(found.flexibility[j, :, k], rows @ x, rtol=1e-10, atol=1e-11)
         x = respond_by_brute_force(model, h * 0.83, model.load.get(h, np.zeros(9)))
         np.testing.assert_allclose(found.free_motion[j], rows @ x, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["proportional", "dashpot"])
+def test_neighbouring_problems_share_the_harmonics_that_they_have_in_common(kind, monkeypatch):
+    model = dovetail()
+    problem = ContactProblem(with_damping(model, kind), ContactLaws(), 0.1, 5)
+    responded = count_calls(monkeypatch, Responses, "_respond")
+    first = problem.system.compliance
+    alone = len(responded)
+    loads = sum(np.any(f) for f in problem.loads.values())
+    assert alone == 6 + loads
+    other = replace(problem, rho_tangential=0.3, rho_normal=2.0, samples=256).system.compliance
+    assert len(responded) == alone + loads
+    np.testing.assert_array_equal(other.flexibility, first.flexibility)
+    more = replace(problem, harmonics=8, load={1: 2.0 * problem.loads[1]}).system.compliance
+    assert len(responded) == alone + loads + 3 + 1
+    np.testing.assert_array_equal(more.flexibility[:6], first.flexibility)
+    np.testing.assert_allclose(more.free_motion[1], 2.0 * first.free_motion[1], rtol=1e-14)
+    moved = replace(problem, frequency=0.11).system.compliance
+    assert len(responded) == alone + loads + 4 + alone
+    assert np.all(moved.flexibility[1:] != first.flexibility[1:])
 
 
 @pytest.mark.parametrize("kind", ["none", "proportional", "dashpot"])
