@@ -117,7 +117,9 @@ def tell_sweep(curve: FrequencyResponse, problem: ContactProblem) -> list[str]:
     lines += [f"  harmonics {', '.join(map(str, idle.orders))} left out: {idle.why}"] if idle.orders else []
     lines += _tell_accuracy(curve) if curve.accurate else []
     lost = int(curve.unstable.sum())
-    lines += [f"  {lost} of them are unstable: no motion in time stays there"] if lost else []
+    lines += (
+        [f"  {lost} of them {'is' if lost == 1 else 'are'} unstable: no motion in time stays there"] if lost else []
+    )
     usual = count_default_weights(curve, problem)
     lines += [f"  {usual} of them hold with default weights and dashpots: others led nowhere"] if usual else []
     lines += [f"  no solution at {list_few(curve.missing, 'frequencies')} Hz"] if curve.missing else []

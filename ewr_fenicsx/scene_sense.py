@@ -191,11 +191,17 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
         if coefficient is not None and coefficient > SOFTEST_SURFACE:
             yield (
                 f"{where} = {coefficient:g} 1/Pa is far above that of any joint (the default is 1e-11); was "
-                f"{coefficient * 1e-6:g} (given in 1/MPa, which is mm^2/N) meant?"
+                f"{coefficient * 1e-9:g} (given in mm^3/(N m)) or {coefficient * 1e-6:g} (given in 1/MPa, which is "
+                "mm^2/N) meant?"
             )
 
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:
+    highest, samples = max(scene.harmonics), scene.solver.samples
+    if samples is not None and samples <= 2 * highest and scene.solver.accuracy is None:
+        yield (
+            f"solver.samples = {samples} a period cannot resolve harmonic {highest}; give at least {2 * highest + 1}"
+        )
     for name, load in scene.loads.items():
         if load.harmonic not in scene.harmonics and scene.solver.accuracy is None:
             yield (

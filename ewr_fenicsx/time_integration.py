@@ -15,6 +15,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.initial_states import choose_start
 from ewr_fenicsx.periodic_motion import SECOND
 from ewr_fenicsx.periodicity import Anderson, Watch, walks_on
+from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 
@@ -252,6 +253,7 @@ def integrate(
     contact_tolerance: float = 1e-8,
     sweeps: int = 1000,
     acceleration: bool = False,
+    progress: bool = False,
 ) -> SteadyState:
     """Step a contact problem in time until its motion repeats.
 
@@ -275,6 +277,8 @@ def integrate(
         acceleration: Start each period from Anderson's extrapolation of those before: two to ten times fewer periods
             where a lightly damped motion decays slowly, but no transient. Steadiness is judged by periods that follow
             from one another either way.
+        progress: Whether to show how many periods are done, how much the last one changed, and the time that all of
+            them would take.
 
     Returns:
         The last period. Not steady, or not solved, is said by ``converged`` and ``reason``.
@@ -301,31 +305,33 @@ def integrate(
     sweeps_taken = unsolved = 0
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
-    for _ in range(int(periods)):
-        last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
-        end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
-        sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
-        if not np.all(np.abs(end) < _BOUND):
-            reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"
-            changes.append(np.inf)
-            break
-        changes.append(watch.measure_change(last))
-        ahead = anderson.extrapolate(here, end, last)
-        if follows and tolerance and changes[-1] <= tolerance and not last.unsolved:
-            reason = "steady"
-            break
-        follows = not acceleration or anderson.defect <= tolerance
-        here = end if follows else ahead
-    else:
-        reason = f"not steady after {periods} periods"
-        if follows and last.unsolved and changes[-1] <= tolerance:
-            reason = f"it repeats itself after {periods} periods"
-        elif walks_on(last, scheme):
-            reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
-        elif follows and tolerance and watch.second_change <= tolerance:
-            reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
-        elif tolerance and theta == UNDAMPED:
-            reason += _RINGS
+    with count_progress("time stepping, periods", int(periods), progress) as report:
+        for _ in range(int(periods)):
+            last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
+            end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
+            sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
+            if not np.all(np.abs(end) < _BOUND):
+                reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"
+                changes.append(np.inf)
+                break
+            changes.append(watch.measure_change(last))
+            report(len(changes), f"change {changes[-1]:.0e}")
+            ahead = anderson.extrapolate(here, end, last)
+            if follows and tolerance and changes[-1] <= tolerance and not last.unsolved:
+                reason = "steady"
+                break
+            follows = not acceleration or anderson.defect <= tolerance
+            here = end if follows else ahead
+        else:
+            reason = f"not steady after {periods} periods"
+            if follows and last.unsolved and changes[-1] <= tolerance:
+                reason = f"it repeats itself after {periods} periods"
+            elif walks_on(last, scheme):
+                reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
+            elif follows and tolerance and watch.second_change <= tolerance:
+                reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
+            elif tolerance and theta == UNDAMPED:
+                reason += _RINGS
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
     return SteadyState(

@@ -177,6 +177,10 @@ def test_a_static_scene_needs_no_frequency(read):
         ),
         (SCENE + "[solver]\nharmonics = 0", "solver.harmonics = [0] leave out harmonic 1"),
         (
+            SCENE + "[solver]\nharmonics = 3\nsamples = 6",
+            "solver.samples = 6 a period cannot resolve harmonic 3; give at least 7",
+        ),
+        (
             SCENE + "[loads.base]\nboundary = 'clamp'\nforce = [1, 0]\nharmonic = 1",
             'loads.base.boundary = "clamp": supports.clamp holds it, so that the force does nothing; name a boundary',
         ),
@@ -227,7 +231,10 @@ def test_all_contradictions_come_at_once(read):
         (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
         (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
         (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
-        (SCENE + "[wear]\ncoefficient = 1e-5", r"wear.coefficient = 1e-05 1/Pa .* was 1e-11 \(given in 1/MPa"),
+        (
+            SCENE + "[wear]\ncoefficient = 1e-5",
+            r"wear.coefficient = 1e-05 1/Pa .* was 1e-14 \(given in mm\^3/\(N m\)\) or 1e-11 \(given in 1/MPa",
+        ),
         (SCENE + "[wear]\n[flanks.left]\nwear = 1e-3", "flanks.left.wear = 0.001 1/Pa is far above that of any joint"),
         (
             SCENE + "[contact]\nnormal = 'bonded'\ntangential = 'bonded'\n[solver]\nrho_normal = 1e9",
