@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.statics import list_most
@@ -353,7 +353,7 @@ def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:
         idle = model.rigid_modes @ (turn[-1] / np.where(seen, motion, 1.0))
         unseen = [model.rows(direction) @ idle for direction in model.tangent_directions]
         slides = list_most(np.linalg.norm(unseen, axis=0)) if unseen else []
-        which = f"slides along pairs {', '.join(map(str, slides))} without friction" if slides else "moves no pair"
+        which = f"slides along {name_pairs(slides)} without friction" if slides else "moves no pair"
         raise ModelError(
             f"{modes.shape[1]} rigid motions of floating bodies, but the forces of contact tell only "
             f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart: one that they do not see {which}; "

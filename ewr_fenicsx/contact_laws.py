@@ -15,7 +15,7 @@ import numpy as np
 
 from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register their kinds
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers
 from ewr_fenicsx.law_kinds import Law, LawKind, PairGroup, Side, find_kind, list_parameters
 from ewr_fenicsx.prescribed import Prescribed
 
@@ -52,8 +52,8 @@ class ContactLaws:
             raise ModelError(f'static_friction = "{self.static_friction}"; choose one of "resolved", "zero"{hint}')
         for name in ("friction", "initial_gap"):
             value = read_numbers(name, getattr(self, name))
-            if not np.all(value >= 0) or not np.all(np.isfinite(value)):
-                raise ModelError(f"{name} = {getattr(self, name)}; it must be finite and not negative")
+            if wrong := point_at(name, value, (value >= 0) & (value < np.inf)):
+                raise ModelError(f"{wrong}; it must be finite and not negative")
         if (find_kind("normal", self.normal) is Prescribed) != (self.normal_force is not None):
             raise ModelError('normal = "prescribed" goes with normal_force, and only with it; give both or neither')
         if not isinstance(self.parameters, Mapping):

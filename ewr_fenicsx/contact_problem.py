@@ -16,8 +16,8 @@ from ewr_fenicsx.compliance import GeneralisedInverse
 from ewr_fenicsx.composition import compose
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_system import ContactSystem
-from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers
+from ewr_fenicsx.errors import ModelError, name_pairs, nearest
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import is_own, spread_over_pairs
 from ewr_fenicsx.reduced_model import ReducedModel, check_loads
@@ -81,20 +81,21 @@ class ContactProblem:
             hint = nearest(self.closure, known)
             raise ModelError(f'closure = "{self.closure}"; choose one of {", ".join(known)}, or flexibilities{hint}')
         if not isinstance(self.closure, str):
-            given = spread_over_pairs(self.closure, np.arange(self.model.pairs), self.model.pairs, "closure")
-            if not np.all((given >= 0) & (given < np.inf)):
-                raise ModelError(f"closure = {self.closure}; flexibilities must be finite and not negative")
+            given = self._read_by_pair("closure")
+            if wrong := point_at("closure", given, (given >= 0) & (given < np.inf)):
+                raise ModelError(f"{wrong}; flexibilities must be finite and not negative")
         for name in ("rho_normal", "rho_tangential"):
-            value = getattr(self, name)
-            if value is None:
+            if getattr(self, name) is None:
                 continue
-            given = spread_over_pairs(value, np.arange(self.model.pairs), self.model.pairs, name)
-            if not np.all((given > 0) & (given < np.inf)):
-                raise ModelError(f"{name} = {value}; it must be positive and finite, or None for the default")
+            given = self._read_by_pair(name)
+            if wrong := point_at(name, given, (given > 0) & (given < np.inf)):
+                raise ModelError(f"{wrong}; it must be positive and finite, or None for the default")
         if self.wear is not None:
             depth = read_numbers("wear", self.wear)
-            if depth.shape != (self.model.pairs,) or not np.all((depth >= 0) & (depth < np.inf)):
-                raise ModelError(f"wear must be one finite depth >= 0 [m] for each of the {self.model.pairs} pairs")
+            wrong = point_at("wear", depth, (depth >= 0) & (depth < np.inf))
+            if depth.shape != (self.model.pairs,) or wrong:
+                told = wrong or f"wear has the shape {depth.shape}"
+                raise ModelError(f"{told}; give one finite depth >= 0 [m] for each of the {self.model.pairs} pairs")
         for name in ("laws", "harmonics", "rho_normal", "rho_tangential", "closure", "wear"):
             object.__setattr__(self, name, keep(getattr(self, name)))
         self.friction, self.clearance, self.given_force  # noqa: B018  as many values as pairs
@@ -155,13 +156,20 @@ class ContactProblem:
                     f"laws has {shorten(group)}; give one ContactLaws for all pairs, or a list of (pairs, ContactLaws)"
                 )
         groups = tuple((read_numbers("pairs of laws", pairs).reshape(-1), laws) for pairs, laws in self.laws)
-        covered = np.sort(np.concatenate([np.zeros(0), *(pairs for pairs, _ in groups)]))
-        if not np.array_equal(covered, everything):
-            raise ModelError(
-                f"laws must cover each of the {self.model.pairs} pairs once; they cover "
-                f"[{', '.join(f'{pair:g}' for pair in covered)}]"
-            )
+        named, count = np.unique(np.concatenate([np.zeros(0), *(pairs for pairs, _ in groups)]), return_counts=True)
+        wrong = {
+            "leave out": np.setdiff1d(everything, named),
+            "repeat": named[count > 1],
+            "name, though it is none,": np.setdiff1d(named, everything),
+        }
+        if told := [f"{how} {name_pairs(pairs)}" for how, pairs in wrong.items() if pairs.size]:
+            raise ModelError(f"laws must cover each of the {self.model.pairs} pairs once; they {' and '.join(told)}")
         return tuple((pairs.astype(int), laws) for pairs, laws in groups)
+
+    def _read_by_pair(self, name: str) -> RealArray:
+        """Numbers that are given for all pairs, or for each of them, as they were given."""
+        spread_over_pairs(getattr(self, name), np.arange(self.model.pairs), self.model.pairs, name)
+        return read_numbers(name, getattr(self, name))
 
     @property
     def own_kinds(self) -> tuple[str, ...]:

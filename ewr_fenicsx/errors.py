@@ -6,7 +6,7 @@ without a traceback, and exits with ``exit_code``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 
@@ -83,3 +83,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name closest to an unknown one, e.g. ``'; did you mean "friction"?'``, or ``''``."""
     found = get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
     return f'; did you mean "{found[0]}"?' if found else ""
+
+
+def name_pairs(pairs: Sequence[float], most: int = 3) -> str:
+    """Pairs by their numbers, the first ``most`` of them: ``"pairs 0, 1, 2 and 5 more"``."""
+    few, more = ", ".join(f"{pair:g}" for pair in pairs[:most]), len(pairs) - most
+    return f"pair{'s' * (len(pairs) > 1)} {few}" + (f" and {more} more" if more > 0 else "")

@@ -38,6 +38,14 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
     return array.astype(kind, copy=False)
 
 
+def point_at(name: str, values: np.ndarray, good: np.ndarray) -> str:
+    """The first of some numbers that is not ``good``, by name and value: ``"friction[7] = nan"``; or ``""``."""
+    if np.all(good):
+        return ""
+    at = np.unravel_index(np.argmin(good), np.shape(good))
+    return f"{name}{list(map(int, at)) if at else ''} = {values[at]:g}"
+
+
 class ReadOnly(dict):
     """A dictionary that nobody can write to: what a frozen owner keeps of one."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.harmonics import sample_amplitudes
 from ewr_fenicsx.law_kinds import list_parameters
 
@@ -15,11 +16,15 @@ ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pu
 def list_ignored(problem: ContactProblem) -> list[str]:
     """A line for each thing that does nothing."""
     lines = []
+    if not problem.driven:
+        lines.append(
+            "nothing acts on the joint, neither a load nor a given force: give the model, or the problem, a load"
+        )
     for pairs, laws in problem.groups:
         if np.any(laws.initial_gap) and "initial_gap" not in list_parameters("normal", laws.normal):
-            lines.append(f'initial_gap is ignored at pair {pairs[0]}: normal = "{laws.normal}" knows no gap')
+            lines.append(f'initial_gap is ignored at {name_pairs(pairs)}: normal = "{laws.normal}" knows no gap')
     if problem.wear is not None and np.any(worn := (np.asarray(problem.wear) > 0) & ~problem.opens):
-        lines.append(f"wear is ignored at pair {np.argmax(worn)}: its normal law knows no gap")
+        lines.append(f"wear is ignored at {name_pairs(np.flatnonzero(worn))}: the normal law there knows no gap")
     if not isinstance(problem.closure, str) and "second_tangential" in problem.system.index:
         lines.append("closure is ignored where pairs have two tangents: dashpots, rho_tangential, close friction there")
     rubs = np.flatnonzero(problem.friction > 0)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from ewr_fenicsx.errors import UnheldBody
+from ewr_fenicsx.errors import UnheldBody, name_pairs
 from ewr_fenicsx.given import RealArray
 
 _BALANCED = 1e-8  # unbalanced share of the mean load taken for zero
@@ -89,7 +89,7 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
         parts = opening - friction * sliding > _SEEN * np.abs(motion).max() * largest_motion
         how, most = ("opens", np.where(parts, opening, 0.0)) if np.any(parts) else ("slides along", sliding)
         worst = list_most(most)
-        moves = f"{how} pairs {', '.join(map(str, worst))} most" if worst else "opens no pair"
+        moves = f"{how} {name_pairs(worst)} most" if worst else "opens no pair"
         raise UnheldBody(
             f"nothing holds a floating body: {100 * rest:.3g}% of the mean load stays unbalanced whatever the contact "
             f"forces; it drives a rigid motion that {moves}; turn the load round, raise the friction or the "

@@ -94,3 +94,10 @@ def test_a_resonance_without_damping_that_has_no_solution_is_named():
     laws = ContactLaws("prescribed", normal_force=270.0, friction=0.3)
     with pytest.raises(NotConverged, match=r"\. Harmonic 1 hits a mode without damping, .*: add damping"):
         solve(ContactProblem(model, laws, 1000 / (2 * np.pi), 5))
+
+
+def test_a_model_without_a_load_is_told_of():
+    problem = ContactProblem(replace(lift_off_oscillator(), load={}), ContactLaws(), 0.1)
+    assert any("nothing acts on the joint" in line for line in solve(problem).cautions)
+    loaded = solve(replace(problem, load={0: lift_off_oscillator().load[0]}))
+    assert not any("nothing acts" in line for line in loaded.cautions)
