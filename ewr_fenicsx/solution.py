@@ -23,6 +23,7 @@ COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the lar
 SETTLING, SETTLED = 8, 1e-8  # Newton steps to a solution next to this one, and their residual over its forces
 MISSED = 0.05  # share of the oscillating contact forces, at a harmonic that is not kept, that is worth a word
 FEW_MULTIPLES = 3  # of the loads' harmonics: with fewer, friction and taps are hardly seen
+FEW_SAMPLES = 4  # a highest harmonic: up to so many, what a law makes of two harmonics kept folds back on others
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 TINY = np.finfo(float).tiny
 LISTED = 8  # harmonics that are named one by one; of more, the first three and the last
@@ -127,7 +128,7 @@ class PeriodicSolution(PeriodicMotion):
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")
         lines = [f"truncation is coarse: {', '.join(coarse)}; see what more harmonics change"] if coarse else []
-        lines += self._list_few_multiples() + self._list_missing()
+        lines += self._list_few_samples() + self._list_few_multiples() + self._list_missing()
         lines += self.list_broken_symmetry() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
@@ -160,12 +161,26 @@ class PeriodicSolution(PeriodicMotion):
         moved = np.sum(np.abs(self.excitation * self.coordinates), axis=1)
         return np.pi * float(np.array(self.orders) @ (moved + strained))
 
+    @property
+    def _rubs_or_taps(self) -> bool:
+        """Whether contact makes harmonics of its own."""
+        return self.merit["friction_dissipation"] > LITTLE_EXCHANGE * self._swinging or self._taps
+
+    def _list_few_samples(self) -> list[str]:
+        """Where samples are so few that what laws excite above the harmonics kept passes for these."""
+        basis, top = self.problem.basis, self.orders[-1]
+        if basis.samples > FEW_SAMPLES * top or not self._rubs_or_taps:
+            return []
+        return [
+            f"samples = {basis.samples} a period are few for harmonic {top}: forces above the harmonics kept pass for "
+            f"some of these; give more than {FEW_SAMPLES * top}, or None"
+        ]
+
     def _list_few_multiples(self) -> list[str]:
         """Where loads at high harmonics leave few of their multiples: a number of harmonics counts all of them."""
         base = int(np.gcd.reduce([h for h in self.problem.driven if h] or [1]))
         kept = [h for h in self.orders if h and h % base == 0]
-        rubs = self.merit["friction_dissipation"] > LITTLE_EXCHANGE * self._swinging
-        if base == 1 or len(kept) >= FEW_MULTIPLES or not (rubs or self._taps):
+        if base == 1 or len(kept) >= FEW_MULTIPLES or not self._rubs_or_taps:
             return []
         few = f"all loads act at multiples of harmonic {base}, and few of these are kept"
         return [f"{few}: give harmonics = {5 * base} or more, or the loads' own frequency with loads at harmonic 1"]

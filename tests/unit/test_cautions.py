@@ -101,3 +101,14 @@ def test_a_model_without_a_load_is_told_of():
     assert any("nothing acts on the joint" in line for line in solve(problem).cautions)
     loaded = solve(replace(problem, load={0: lift_off_oscillator().load[0]}))
     assert not any("nothing acts" in line for line in loaded.cautions)
+
+
+@pytest.mark.parametrize("samples, told", [(12, True), (20, True), (21, False), (None, False)])
+def test_samples_that_fold_harmonics_back_are_told(samples, told):
+    solution = solve(ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.16, 5, samples))
+    assert any("a period are few for harmonic 5" in line for line in solution.cautions) == told
+
+
+def test_few_samples_do_where_nothing_opens_or_slips():
+    problem = ContactProblem(lift_off_oscillator(), ContactLaws("bonded", "bonded"), 0.1, 5, 11)
+    assert not any("a period are few" in line for line in solve(problem).cautions)
