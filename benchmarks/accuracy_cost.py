@@ -19,6 +19,7 @@ import json
 import resource
 import time
 import tracemalloc
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -28,6 +29,7 @@ from hard_cases import Case, pose_case
 from models import ROOT
 from mpi4py import MPI
 from reporting import RESULTS, describe_machine, print_table, write_json
+from scipy.optimize import minimize_scalar
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.chain import build_chain, pose_problem
@@ -44,6 +46,8 @@ from ewr_fenicsx.cost import (
 from ewr_fenicsx.cost_report import time_run
 from ewr_fenicsx.estimates import choose_harmonics, compare_responses
 from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.time_integration import SteadyState
 
 SCENE = ROOT / "demos" / "blade_root.toml"
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23, 27, 31, 40, 50, 63)
@@ -53,6 +57,7 @@ MODES = (2, 4, 8, 15, 30, 60, 120)
 MESH_SIZES = (2.8e-3, 2e-3, 1.4e-3, 1e-3, 0.7e-3)
 PAIRS = (3, 5, 10, 20)
 PEAK, PEAK_ORDERS = (960.0, 1060.0), (1, 3, 5, 9)
+PEAK_PRECISION, PEAK_SPAN = 0.02, 3.0  # of the place of a maximum, and between the points of time stepping [Hz]
 JUMPS = (0.3, 0.1, 0.03, 0.01, 0.003)
 SHARES = (1e-3, 3e-3, 1e-2, 3e-2)
 
@@ -151,38 +156,56 @@ def turn_structure(quick: bool) -> list[dict]:
     return rows
 
 
-def find_peak(frequencies: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
-    """Place and height of the maximum by a parabola through the three highest neighbours."""
-    top = int(np.clip(heights.argmax(), 1, len(heights) - 2))
-    near = slice(top - 1, top + 2)
-    centre = frequencies[top]
-    a, b, c = np.polyfit(frequencies[near] - centre, heights[near], 2)
+def fit_peak(frequencies: np.ndarray, heights: Sequence[float]) -> tuple[float, float]:
+    """Place and height of the maximum of a parabola through three points."""
+    centre = frequencies[1]
+    a, b, c = np.polyfit(frequencies - centre, heights, 2)
     return float(centre - b / (2 * a)), float(c - b**2 / (4 * a))
 
 
+def read_height(source: PeriodicSolution | SteadyState) -> float:
+    """Rms of the tip [m]."""
+    return float(np.linalg.norm(measure_figures(source).output[:, 0]) / np.sqrt(2))
+
+
 def turn_peak(problem: ContactProblem, quick: bool) -> dict:
-    """Frequency and height of the resonance by N, against time stepping at the same frequencies."""
+    """Frequency and height of the resonance by N, against time stepping about where the highest N has it.
+
+    Each N is swept over a coarse grid, then its maximum is sought between the neighbours of the highest point. Time
+    stepping takes a parabola through three points close by; its own error is the change with the last halving.
+    """
     grid = np.linspace(*PEAK, 4 if quick else 9)
     rows, curves = [], {}
     for n in PEAK_ORDERS[: 2 if quick else 4]:
-        begin, solution, heights = time.process_time(), None, []
+        begin, solution, solutions = time.process_time(), None, []
         for frequency in grid:
             solution = solve(replace(problem, frequency=float(frequency), harmonics=n), start=solution)
-            heights.append(np.linalg.norm(measure_figures(solution).output[:, 0]) / np.sqrt(2))
-        curves[str(n)] = heights
-        rows.append([n, *find_peak(grid, np.array(heights)), time.process_time() - begin])
-    start, stepped, begin = solution, [], time.process_time()
-    top = int(np.clip(np.argmax(curves[str(rows[-1][0])]), 1, len(grid) - 2))
-    for frequency in grid[top - 1 : top + 2]:
-        posed = replace(problem, frequency=float(frequency), harmonics=31)
-        steady = integrate(posed, start, 100 if quick else 800, 100, 1e-4, acceleration=True)
-        start = steady.end
-        stepped.append(np.linalg.norm(measure_figures(steady).output[:, 0]) / np.sqrt(2))
-    reference = find_peak(grid[top - 1 : top + 2], np.array(stepped))
+            solutions.append(solution)
+        curves[str(n)] = list(map(read_height, solutions))
+        top = int(np.clip(np.argmax(curves[str(n)]), 1, len(grid) - 2))
+
+        def lower(frequency: float, near: PeriodicSolution = solutions[top]) -> float:
+            return -read_height(solve(replace(near.problem, frequency=float(frequency)), start=near))
+
+        found = minimize_scalar(
+            lower, bounds=(grid[top - 1], grid[top + 1]), method="bounded", options={"xatol": PEAK_PRECISION}
+        )
+        rows.append([n, float(found.x), -float(found.fun), time.process_time() - begin])
+    start, stepped, near = solutions[top], [], rows[-1][1] + np.array([-1.0, 0.0, 1.0]) * PEAK_SPAN
+    for steps in (50, 100) if quick else (400, 800):
+        begin, heights = time.process_time(), []
+        for frequency in near:
+            posed = replace(problem, frequency=float(frequency), harmonics=min(31, (steps - 1) // 2))
+            steady = integrate(posed, start, steps, 100, 1e-5, acceleration=True)
+            start = steady.end
+            heights.append(read_height(steady))
+        stepped.append([*fit_peak(near, heights), time.process_time() - begin])
+    coarse, reference = stepped
     return {
         "frequencies": grid,
         "curves": curves,
-        "reference": [*reference, time.process_time() - begin],
+        "reference": reference,
+        "own_error": [abs(coarse[i] / reference[i] - 1) for i in range(2)],
         "rows": [[n, f, h, f / reference[0] - 1, h / reference[1] - 1, spent] for n, f, h, spent in rows],
     }
 

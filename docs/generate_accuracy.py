@@ -174,7 +174,8 @@ def tell_peak(peak: dict) -> str:
         [f"N = {n:g}", f"{f:.2f}", f"{1e3 * h:.4f}", percent(df), percent(dh), s] for n, f, h, df, dh, s in peak["rows"]
     ]
     f, h, s = peak["reference"]
-    rows.append(["time stepping, three points", f"{f:.2f}", f"{1e3 * h:.4f}", "", "", s])
+    own = [f"to {percent(error)}" for error in peak["own_error"]]
+    rows.append(["time stepping, three points", f"{f:.2f}", f"{1e3 * h:.4f}", *own, s])
     return write_table(["", "peak, Hz", "rms, mm", "frequency off by", "height off by", "s"], rows)
 
 
