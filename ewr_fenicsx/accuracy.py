@@ -100,6 +100,8 @@ class AccurateSolution:
             lines.append(f"  modes raised from {modes[0]} to {modes[-1]}")
         if self.limit:
             lines.append(f"  NOT as accurate as asked: {self.limit}; {self.remedy}")
+        if found.told_sliding:
+            lines.append(f"  {found.told_sliding}: ask for a smaller accuracy where that matters")
         return "\n".join([*lines, self.solution.summary()])
 
 
@@ -244,7 +246,7 @@ def solve_to_accuracy(
             top = raised
     if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
         others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
-        estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others)
+        estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others, estimate.sliding)
     broken = solution.list_broken_symmetry()  # what it left out is in no estimate
     if broken:
         limit, remedy = broken[0], "give the law odd = False"
@@ -342,22 +344,23 @@ def judge(
     the level before have not halved them, the samples are looked at by themselves, unless they did not matter at a
     level before: there are as many a harmonic.
     """
-    error, samples = 0.0, np.nan
+    error, samples, sliding = 0.0, np.nan, np.nan
     moved = 0.0 if before is None else measure_distance(before, solution, figure)
     closures = {s.problem.system.closures for s in (before, solution) if s is not None}
     closed_alike = before is not None and closures in ({()}, {("masses",)})
     if closed_alike and (growth := solution.orders[-1] / max(1, before.orders[-1])) > 1:
         error = moved / (max(growth, GROWTH[0]) ** find_rate(solution.problem) - 1)
     if error <= accuracy:
-        error = max(error, estimate_together(solution, accuracy, figure, moved))
+        seen, sliding = estimate_together(solution, accuracy, figure, moved)
+        error = max(error, seen)
     known = [level.estimate.samples for level in levels if level.estimate.samples < IDLE * accuracy]
     if before is not None and not known and max(accuracy, levels[-1].estimate.total / 2) < error < np.inf:
         samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
-        return ErrorEstimate(error - np.nan_to_num(samples), samples)
+        return ErrorEstimate(error - np.nan_to_num(samples), samples, sliding=sliding)
     weight = estimate_weight(solution, figure) if CLEAR * error >= accuracy else np.nan
     error_of_modes = estimate_modes(solution, modes, figure)
-    return ErrorEstimate(error, np.nan, weight, error_of_modes)
+    return ErrorEstimate(error, np.nan, weight, error_of_modes, sliding)
 
 
 def raise_modes(count: int, most: int) -> int:

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from reprlib import repr as shorten
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,10 +46,20 @@ AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, 
 USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
 LARGEST_AHEAD = 2000  # unknowns of a solution, up to which a neighbouring problem is solved where single steps fail
+SLIDING_SAMPLES = 256  # a period, at which sliding is compared
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 
 
+# Of the estimated error of the sliding: over that of the response, and by itself, from where on it is worth a word
+FAR_OFF, WORTH_A_WORD = 2.0, 0.05
 Figure = Callable[[PeriodicSolution], RealArray]
+
+
+class Look(NamedTuple):
+    """What a look ahead tells: estimated errors of the response (and a figure), and of the sliding."""
+
+    error: float
+    sliding: float
 
 
 @dataclass(frozen=True)
@@ -60,12 +71,14 @@ class ErrorEstimate:
         samples: By the samples at which the laws are evaluated, looked at by themselves.
         weight: What another weight of the friction law would change; it is truncation seen from another side.
         modes: By the modes left out of the reduced model.
+        sliding: Of ``J_T``, by harmonics and samples: a figure of its own, in no total. It converges more slowly.
     """
 
     harmonics: float
     samples: float
     weight: float = np.nan
     modes: float = np.nan
+    sliding: float = np.nan
 
     @property
     def total(self) -> float:
@@ -78,6 +91,12 @@ class ErrorEstimate:
         first = "harmonics and samples" if np.isnan(self.samples) else "harmonics"
         causes = {first: self.harmonics, "samples": self.samples, "weight": self.weight, "modes": self.modes}
         return ", ".join(f"{name} {error:.1g}" for name, error in causes.items() if not np.isnan(error))
+
+    @property
+    def told_sliding(self) -> str:
+        """What is to be said of the sliding, for people; "" where it is no further off than all else."""
+        worse = self.sliding > max(FAR_OFF * self.total, WORTH_A_WORD)
+        return f"sliding (J_T, dissipation) may be off by {self.sliding:.0%}" if worse else ""
 
     @property
     def truncation(self) -> float:
@@ -176,7 +195,7 @@ def estimate_harmonics(solution: PeriodicSolution, figure: Figure | None = None)
 
 def estimate_together(
     solution: PeriodicSolution, accuracy: float, figure: Figure | None = None, moved: float = 0.0
-) -> float:
+) -> Look:
     """Error by harmonics and samples at once, as exactly as it takes to compare it with an accuracy.
 
     Where a first look tells of far more than the accuracy, or far less, that is all; but not where it tells of far
@@ -185,11 +204,22 @@ def estimate_together(
     see the share ``1 - (N / N')^rate`` of the error, and its whole is returned.
     """
     problem, seen = look_further(solution)
-    looks = (measure_distance(ahead, solution, figure) / seen for ahead in approach(solution, problem, accuracy))
-    first = next(looks, np.inf)
-    if first > CLEAR * accuracy or (CLEAR * first < accuracy and moved < SURPRISE * first):
+    looks = (look(ahead, solution, figure, seen) for ahead in approach(solution, problem, accuracy))
+    first = next(looks, Look(np.inf, np.inf))
+    if first.error > CLEAR * accuracy or (CLEAR * first.error < accuracy and moved < SURPRISE * first.error):
         return first
-    return next(looks, np.inf)
+    return next(looks, Look(np.inf, np.inf))
+
+
+def look(ahead: PeriodicSolution, solution: PeriodicSolution, figure: Figure | None, seen: float) -> Look:
+    """What a solution with more harmonics tells of one, where the two see a share of its error."""
+    return Look(measure_distance(ahead, solution, figure) / seen, compare_sliding(ahead, solution) / seen)
+
+
+def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> float:
+    """Relative difference of the way that two solutions slide, over the longer one; 0 where both stick."""
+    there, here = (float(np.mean(s.sliding_speed(SLIDING_SAMPLES))) for s in (ahead, solution))
+    return abs(there - here) / longer if (longer := max(there, here)) else 0.0
 
 
 def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:
@@ -249,12 +279,14 @@ def estimate_at_once(
     Args:
         solution, modes, figure: As in ``estimate_errors``.
     """
-    error = estimate_together(solution, USUAL, figure)
-    if error > CLEAR * USUAL and solution.unknowns <= LARGEST_AHEAD:
+    seen_ahead = estimate_together(solution, USUAL, figure)
+    if seen_ahead.error > CLEAR * USUAL and solution.unknowns <= LARGEST_AHEAD:
         problem, seen = look_further(solution)
         ahead = solve(problem, solution, fallbacks=False, raise_on_failure=False)
-        error = measure_distance(ahead, solution, figure) / seen if ahead.converged else error
-    return ErrorEstimate(error, np.nan, modes=estimate_modes(solution, modes, figure))
+        seen_ahead = look(ahead, solution, figure, seen) if ahead.converged else seen_ahead
+    return ErrorEstimate(
+        seen_ahead.error, np.nan, modes=estimate_modes(solution, modes, figure), sliding=seen_ahead.sliding
+    )
 
 
 def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:

@@ -99,8 +99,9 @@ def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
     size = f"estimated error of {what} {estimate.total:.1g} without that of the mesh"
     if not estimate.total < UNKNOWN:
         return f"  NOT accurate: {size}; {remedy}"
-    line = f"  {size} ({estimate.shares})"
-    return f"{line}; {remedy}" if estimate.total > COARSE else line
+    slides = f"; {estimate.told_sliding}" if estimate.told_sliding else ""
+    line = f"  {size} ({estimate.shares}){slides}"
+    return f"{line}; {remedy}" if estimate.total > COARSE or slides else line
 
 
 def list_accuracy(found: AccurateSolution) -> dict[str, object]:

@@ -181,7 +181,7 @@ def test_a_small_estimate_after_a_large_change_takes_a_second_look(monkeypatch):
         return solve_inexactly(balance, step)
 
     monkeypatch.setattr("ewr_fenicsx.looking_ahead.solve_inexactly", count)
-    first = estimate_together(solution, 0.9)
+    first = estimate_together(solution, 0.9).error
     assert first < 0.9 / 4 and len(taken) == 1
-    assert estimate_together(solution, 0.9, moved=4.9 * first) == first and len(taken) == 2
-    assert estimate_together(solution, 0.9, moved=5.1 * first) != first and len(taken) == 4
+    assert estimate_together(solution, 0.9, moved=4.9 * first).error == first and len(taken) == 2
+    assert estimate_together(solution, 0.9, moved=5.1 * first).error != first and len(taken) == 4

@@ -103,14 +103,14 @@ def test_small_joints_take_newton_steps():
 def test_both_ways_estimate_the_same_error(monkeypatch):
     """Within a third: they differ in how far they get."""
     solution = solve(pose("lift-off"))
-    by_steps = estimate_together(solution, 1.0, moved=np.inf)
+    by_steps = estimate_together(solution, 1.0, moved=np.inf).error
     monkeypatch.setattr(looking_ahead, "LARGE", 1)
     monkeypatch.setattr(splitting, "WORTHWHILE", 1)
     settled, original = [], looking_ahead._split_towards
     monkeypatch.setattr(
         looking_ahead, "_split_towards", lambda *given: (settled.append(look) or look for look in original(*given))
     )
-    by_splitting = estimate_together(solution, by_steps)
+    by_splitting = estimate_together(solution, by_steps).error
     assert len(settled) == 2
     assert by_splitting == pytest.approx(by_steps, rel=1 / 3)
 

@@ -1,0 +1,64 @@
+"""What is told of the sliding, which converges more slowly than the response does, beside an accuracy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail, friction_oscillator, lift_off_oscillator
+
+from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
+from ewr_fenicsx.estimates import ErrorEstimate, estimate_at_once, estimate_together
+from ewr_fenicsx.findings import list_causes, tell_estimate
+
+
+def pose_slipping() -> list[ContactProblem]:
+    """Joints that slip by far, some of which lift off."""
+    rubs = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
+    return [
+        *(
+            ContactProblem(lift_off_oscillator(), ContactLaws(friction=mu), f)
+            for mu in (0.2, 0.5)
+            for f in (0.12, 0.16)
+        ),
+        *(ContactProblem(friction_oscillator(damping=0.02), rubs, f) for f in (0.08, 0.12)),
+        *(ContactProblem(dovetail(excitation=x), ContactLaws(friction=0.1), 900.0) for x in (100.0, 150.0)),
+    ]
+
+
+def test_the_estimated_error_of_the_sliding_tells_its_order():
+    ratios = []
+    for problem in pose_slipping():
+        coarse = solve(replace(problem, harmonics=5))
+        fine = solve(replace(problem, harmonics=47), start=coarse)
+        sliding = [s.merit["J_T"] for s in (coarse, fine)]
+        true = abs(sliding[0] - sliding[1]) / max(sliding)
+        assert sliding[1] > 0
+        ratios.append(estimate_together(coarse, 1e-9).sliding / true)
+    assert all(0.2 < ratio < 5 for ratio in ratios)
+    assert 0.5 < np.median(ratios) < 2.5
+
+
+def test_what_sticks_is_not_said_to_slide():
+    problem = ContactProblem(dovetail(excitation=1.0), ContactLaws(friction=1.0), 900.0)
+    assert estimate_together(solve(problem), 1e-9).sliding == 0.0
+
+
+def test_sliding_is_in_no_total_and_reaches_the_results():
+    found = solve_to_accuracy(pose_slipping()[0], 0.02)
+    assert found.estimate.sliding > 0
+    assert found.estimate.total == pytest.approx(replace(found.estimate, sliding=np.nan).total)
+    assert list_causes(found.estimate)["sliding"] == found.estimate.sliding
+    assert estimate_at_once(solve(pose_slipping()[0])).sliding > 0
+
+
+@pytest.mark.parametrize(
+    "total, sliding, told",
+    [(0.01, 0.3, "may be off by 30%"), (0.2, 0.3, ""), (0.01, 0.04, ""), (0.01, np.nan, ""), (0.01, 1.2, "by 120%")],
+)
+def test_sliding_that_is_much_further_off_than_the_response_is_told(total, sliding, told):
+    estimate = ErrorEstimate(total, np.nan, sliding=sliding)
+    found = replace(solve_to_accuracy(pose_slipping()[0], 0.1), estimate=estimate)
+    for text in (found.summary(), tell_estimate(estimate, "the response")):
+        assert ("sliding (J_T, dissipation)" in text) == bool(told) and told in text
