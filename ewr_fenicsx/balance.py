@@ -27,6 +27,7 @@ from ewr_fenicsx.newton_step import NewtonStep
 # Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
+HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
 # Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
 # gaps that do close take less, and pairs slip before they hold a resonance.
 MOST = 1e3
@@ -61,6 +62,9 @@ class HarmonicBalance:
         weak = (self.static_force_row > 0) & (self.static_force_row < least_share)
         self.static_displacement_row[weak] *= least_share / self.static_force_row[weak]  # what shares a load does still
         self.static_force_row[weak] = least_share
+        self.held = (self.static_displacement_row > 0) & (self.static_force_row == 0)  # in place, by springs alone
+        least = HELD_FIRMER * least_share / system.flexibility
+        self.static_displacement_row[self.held] = np.maximum(self.static_displacement_row, least)[self.held]
         self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
         if self.basis.has_mean:
             self.unknown[0] = self.static_row > 0
@@ -129,7 +133,12 @@ class HarmonicBalance:
     def firm(self) -> HarmonicBalance:
         """The balance to start with: each mean friction force has the share ``FIRM`` at least in its own equation."""
         firm = HarmonicBalance(self.system, self.force_unit, FIRM)
-        return self if np.array_equal(firm.static_force_row, self.static_force_row) else firm
+        return self if firm.is_like(self) else firm
+
+    def is_like(self, other: HarmonicBalance) -> bool:
+        """Whether another balance of the same system has the same mean equations."""
+        weights = ("static_force_row", "static_displacement_row")
+        return all(np.array_equal(getattr(self, w), getattr(other, w)) for w in weights)
 
     @cached_property
     def mean_flexibility(self) -> float:

@@ -24,6 +24,12 @@ class FrictionLaw(Law):
     friction: RealArray
     opposes = "velocity"
 
+    @property
+    def static_target(self) -> RealArray | None:
+        """Where a spring alone decides the mean force, the place to which it holds the pair: that without loads."""
+        held = np.asarray(self.static_displacement_row) > 0
+        return np.zeros(self.pairs.size) if np.all(held & (np.asarray(self.static_force_row) == 0)) else None
+
     def limit(self, force: Mapping[str, RealArray]) -> RealArray:
         """``mu max(0, lam_N)`` under forces direction -> ``(n_t, K)`` [N]."""
         return self.friction * np.maximum(0.0, force["normal"])

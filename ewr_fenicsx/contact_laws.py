@@ -17,6 +17,7 @@ from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register thei
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers
 from ewr_fenicsx.law_kinds import Law, LawKind, PairGroup, Side, find_kind, list_parameters
+from ewr_fenicsx.mean_friction import StaticFriction
 from ewr_fenicsx.prescribed import Prescribed
 
 
@@ -31,7 +32,9 @@ class ContactLaws:
         friction: Coefficient of friction, scalar or ``(K,)``, one for each of its pairs in the group's order.
         normal_force: Prescribed normal force [N], scalar or ``(K,)``, or harmonic -> such amplitudes (complex).
         initial_gap: Clearance [m], scalar or ``(K,)``; wear adds to it.
-        static_friction: ``"resolved"`` finds the mean friction force of pairs that slip; ``"zero"`` sets it to zero.
+        static_friction: What decides the mean friction force of pairs that stick throughout: ``"resolved"``, the least
+            that their limits allow; ``"held"``, what holds them where they are without loads, as after a slow loading
+            from rest. That of pairs that slip follows from the law either way. ``"zero"`` sets it to zero for all.
         parameters: Parameters of a kind registered elsewhere, name -> value; none of those above.
 
     Raises:
@@ -43,13 +46,13 @@ class ContactLaws:
     friction: float | RealArray = 0.2
     normal_force: float | RealArray | Mapping[int, float | ComplexArray] | None = None
     initial_gap: float | RealArray = 0.0
-    static_friction: str = "resolved"
+    static_friction: StaticFriction = "resolved"
     parameters: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.static_friction not in (known := ("resolved", "zero")):
-            hint = nearest(self.static_friction, known)
-            raise ModelError(f'static_friction = "{self.static_friction}"; choose one of "resolved", "zero"{hint}')
+        if self.static_friction not in (known := get_args(StaticFriction)):
+            listed, hint = ", ".join(f'"{name}"' for name in known), nearest(self.static_friction, known)
+            raise ModelError(f'static_friction = "{self.static_friction}"; choose one of {listed}{hint}')
         for name in ("friction", "initial_gap"):
             value = read_numbers(name, getattr(self, name))
             if wrong := point_at(name, value, (value >= 0) & (value < np.inf)):

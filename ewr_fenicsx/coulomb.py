@@ -23,26 +23,12 @@ from ewr_fenicsx.law_kinds import (
     PairGroup,
     Partial,
     Response,
-    choose_friction_weight,
     register_law,
 )
+from ewr_fenicsx.mean_friction import StaticFriction, choose_mean_equation
 from ewr_fenicsx.planar_coulomb import PLANE, build_in_plane
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.sprung_coulomb import SprungCoulomb
-
-# Share of the mean friction force added to its own equation: it decides the mean where a pair sticks throughout. A pair
-# that sticks only with a mean creeps by about this share, times rho over the default; at a resonance with little
-# damping a creep of a hundredth of a per cent takes a fifth of the amplitude. Less would be what the solve leaves over.
-MEAN_FRICTION_REGULARISATION = 1e-7
-HANGING = 1e-6  # the same where a body hangs on friction, whose pairs share a load, and rho is at most the default
-
-
-def choose_regularisation(group: PairGroup) -> RealArray:
-    """``(K,)`` shares of the mean friction forces of some pairs in their own equations."""
-    omega = 2 * np.pi / group.period if group.period else 1.0
-    usual = choose_friction_weight(omega, group.flexibility["tangential"])
-    share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
-    return np.maximum(share, MEAN_FRICTION_REGULARISATION)
 
 
 @register_law("tangential", "coulomb")
@@ -52,11 +38,11 @@ class DryFriction(LawKind):
 
     Args:
         friction: Coefficient, scalar or ``(K,)``.
-        static_friction: ``"resolved"`` finds the mean friction force of pairs that slip; ``"zero"`` sets it to zero.
+        static_friction: What decides the mean friction force: ``"resolved"``, ``"held"`` or ``"zero"``.
     """
 
     friction: float | RealArray = 0.2
-    static_friction: str = "resolved"
+    static_friction: StaticFriction = "resolved"
     histories = ("friction_force", "admissible_friction_force", "slip", "slip_velocity")
     needs = ("normal",)
     effect = "friction"
@@ -69,11 +55,9 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
-        eps = choose_regularisation(group)
+        mean, friction = choose_mean_equation(group, self.static_friction), group.spread(self.friction)
         if "second_tangential" in group.weight:
-            return build_in_plane(group, self.friction, self.static_friction, eps)
-        friction = group.spread(self.friction)
-        springs = eps / group.flexibility["tangential"] * group.hangs_on_friction
+            return build_in_plane(group, friction, mean)
         closing, masses = group.closing["tangential"], group.closing_mass["tangential"]
         if self.static_friction == "zero":  # nothing would keep a mass's own surface from sliding off
             masses = np.zeros_like(masses)
@@ -84,9 +68,8 @@ class DryFriction(LawKind):
         )
         laws = []
         for kind, given, picked in closures:
-            mean = (0.0, 1.0) if self.static_friction == "zero" else (1.0, eps[picked], springs[picked])
             if np.any(picked):
-                laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean))
+                laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean.of(picked)))
         return tuple(laws)
 
 

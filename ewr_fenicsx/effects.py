@@ -92,7 +92,7 @@ def count_costs(problem: ContactProblem) -> dict[str, tuple[int, int]]:
             rows = [system.row_of(d, pairs) for d in (*kind.acts_in(tangents), *kind.holds(tangents))]
             rows = np.concatenate([np.zeros(0, dtype=int), *rows])
             rows = rows[rows >= 0]
-            means = mean * rows.size if getattr(kind, "static_friction", "zero") == "resolved" else 0
+            means = mean * rows.size if getattr(kind, "static_friction", "zero") != "zero" else 0
             if rows.size:
                 add(kind.effect or type(kind).__name__, int(of_row[rows].sum()) - means, rows.size)
             if means:
@@ -135,7 +135,8 @@ def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
     rubbing = [laws for laws in joint.values() if laws.tangential == "coulomb" and laws.friction > 0]
     yield replace(by_law("friction", "tangential", "coulomb", tell="friction"), on=bool(rubbing))
     means = sorted({laws.static_friction for laws in rubbing})
-    yield Effect("static friction", "resolved" in means, f"static_friction: {', '.join(means) or 'no friction'}")
+    decided = ", ".join(means) or "no friction"
+    yield Effect("static friction", any(mean != "zero" for mean in means), f"static_friction: {decided}")
     bonds = [by_law("bonded parts", law, "bonded") for law in ("normal", "tangential")]
     yield Effect("bonded parts", any(b.on for b in bonds), "; ".join(b.why for b in bonds if b.on) or "no bonded law")
     yield by_law("frictionless flanks", "tangential", "frictionless")

@@ -30,7 +30,7 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
         apart = bool(np.any(problem.clearance > 0))
-        at_rest = find_rest(problem) if apart else None
+        at_rest = find_rest(problem) if apart or is_held_by_friction(problem) else None
         if start == "rest" and apart and not at_rest:
             raise ModelError(f'start = "rest": no static solution was found across the clearances; {_STARTS}')
         found = at_rest or find_full_stick(problem)
@@ -45,6 +45,11 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         if value.shape != (problem.model.size,) or not np.isfinite(value).all():
             raise ModelError(f"start: {name} has shape {value.shape}; expected {problem.model.size} finite coordinates")
     return state
+
+
+def is_held_by_friction(problem: ContactProblem) -> bool:
+    """Whether friction holds pairs against the mean load from the start: no more of it than its limits allow."""
+    return any(law.static_target is not None and law.opposes == "velocity" for law in problem.system.laws)
 
 
 def find_full_stick(problem: ContactProblem) -> PeriodicSolution:

@@ -53,6 +53,7 @@ USUAL_WAY = "from the default weights and dashpots"  # told even where it is the
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
+HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
 
 
 def solve(
@@ -281,17 +282,23 @@ def attend_to_faint_forces(
 ) -> Attempt:
     """What was found, or closer where its residual is small beside all forces, but not beside those of some row.
 
-    As at a lightly loaded joint beside a large preload, which may be left as it was guessed.
+    As at a lightly loaded joint beside a large preload, which may be left as it was guessed; or where weak springs hold
+    a pair in place.
     """
     if not found.converged or found.usual:  # what holds with other weights is closer already
         return found
-    oscillates = slice(int(balance.basis.has_mean), None)
-    left, own = (balance.place(at)[oscillates] for at in (balance.residual(found.unknowns), found.unknowns))
-    least = OWN_SHARE * tolerance * np.maximum(np.linalg.norm(own, axis=0), FAINT)
-    unsolved = np.linalg.norm(left, axis=0) > least
-    if not np.any(unsolved):
+    mean = int(balance.basis.has_mean)
+    left, own = (balance.place(at) for at in (balance.residual(found.unknowns), found.unknowns))
+    least = OWN_SHARE * tolerance * np.maximum(np.linalg.norm(own[mean:], axis=0), FAINT)
+    missed = [least[np.linalg.norm(left[mean:], axis=0) > least]]
+    if mean and np.any(balance.held):
+        springs = balance.static_displacement_row * balance.system.flexibility
+        least = HELD_SHARE * springs * np.maximum(np.linalg.norm(own, axis=0), FAINT)
+        missed.append(least[balance.held & (np.abs(left[0]) > least)])
+    goals = np.concatenate(missed)
+    if not goals.size:
         return found
-    goal = max(TIGHTEST, least[unsolved].min())
+    goal = max(TIGHTEST, goals.min())
     closer = run_newton(balance, found.unknowns, goal, linear_solver, LAST_STEPS, near=True)
     steps = found.iterations + closer.iterations
     return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)

@@ -59,7 +59,7 @@ class NewtonStep:
                 np.maximum.at(answer, d.rows, largest)
         weight = np.tile(np.where(answer > 0, np.minimum(1.0, answer), 1.0), (len(balance.basis.orders), 1))
         if balance.basis.has_mean:
-            weight[0] *= balance.static_force_row == 0
+            weight[0] *= (balance.static_force_row == 0) & (balance.static_displacement_row == 0)
         return weight
 
     def multiply(self, direction: RealArray, shift: float = 0.0) -> RealArray:

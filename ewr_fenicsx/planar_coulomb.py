@@ -16,26 +16,22 @@ import numpy as np
 from ewr_fenicsx.cone import FrictionLaw
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.law_kinds import Law, Motion, PairGroup, Partial, Response
+from ewr_fenicsx.mean_friction import MeanEquation
 from ewr_fenicsx.smoothing import Rounded, round_clip, round_positive_part
 
 PLANE = ("tangential", "second_tangential")
 
 
-def build_in_plane(
-    group: PairGroup, friction: float | RealArray, static_friction: str, regularisation: RealArray
-) -> tuple[Law, ...]:
+def build_in_plane(group: PairGroup, friction: RealArray, mean: MeanEquation) -> tuple[Law, ...]:
     """The two laws of pairs with two tangents, one a direction.
 
     Args:
         group: The pairs.
-        friction: Coefficient, scalar or ``(K,)``.
-        static_friction: ``"resolved"`` or ``"zero"``, as in ``ContactLaws``.
-        regularisation: ``(K,)`` share of the mean friction force added to its own equation where it is resolved.
+        friction: ``(K,)`` coefficients.
+        mean: What decides the mean friction, in both directions alike.
     """
-    rho, flexibility = group.weight[PLANE[0]], group.flexibility[PLANE[0]]  # those of both directions
-    springs = regularisation / flexibility if group.hangs_on_friction else 0.0
-    mean = (0.0, 1.0, 0.0) if static_friction == "zero" else (1.0, regularisation, springs)
-    return tuple(PlanarCoulomb(group.pairs, d, group.spread(friction), rho, *mean) for d in PLANE)
+    rho = group.weight[PLANE[0]]  # that of both directions
+    return tuple(PlanarCoulomb(group.pairs, d, friction, rho, *mean) for d in PLANE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo, WithJsonSchema, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 from ewr_fenicsx import contact_laws  # noqa: F401  registers the package's own laws
 from ewr_fenicsx.errors import nearest
 from ewr_fenicsx.law_kinds import Side, known_laws, load_laws
+from ewr_fenicsx.mean_friction import StaticFriction
 from ewr_fenicsx.scene_entries import Number, Section, entry
 
 
@@ -37,7 +38,6 @@ Tangential = Annotated[
     AfterValidator(_check_law("tangential")),
     WithJsonSchema({"anyOf": [{"enum": ["coulomb", "frictionless", "bonded"]}, {"type": "string"}]}),
 ]
-StaticFriction = Literal["resolved", "zero"]
 Parameters = dict[str, Any]
 
 # Entries that not every law reads: key -> (which law, which of the package's own does)
@@ -69,7 +69,10 @@ class Contact(Section):
     parameters: Parameters = Field({}, description="Parameters of laws of your own, by name.")
     friction: Number = entry(0.2, "-", "Coefficient of friction, for the law `coulomb`.", ge=0)
     static_friction: StaticFriction = entry(
-        "resolved", "-", "Mean friction force: solved for, or set to zero as in the paper."
+        "resolved",
+        "-",
+        "Mean friction where a pair sticks throughout: `resolved`, the least; `held`, as loaded slowly from rest. "
+        "`zero`: none at any pair, as in the paper.",
     )
     initial_gap: Number = entry(0.0, "m", "Initial clearance of every pair.", ge=0)
     normal_force: Number | None = entry(None, "N", "Normal force of every pair, for the law `prescribed`.", ge=0)

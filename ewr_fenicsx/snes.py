@@ -21,6 +21,7 @@ LinearSolver = Literal["elimination", "dense"]
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 150  # -ewr_snes_max_it
 TAKE_OVER = 1e-7  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
+SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 SMALLEST_DAMPING = 1e-6  # of a Newton step
 # The residual must fall below this share of itself over so many steps, while it is between these: runs that creep from
 # kink to kink end at a corner without a solution. Far off, Newton may creep for long and still arrive, if not quite so
@@ -84,6 +85,8 @@ def run_newton(
         attempts = []
         if firm.converged:  # the factors of its last step serve the balance as well
             attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
+            if not attempts[0].converged:
+                attempts += _soften(newton, balance, firm.unknowns, tolerance)
         # weights far above the defaults put the two balances far apart: then from the start again
         left = float(np.linalg.norm(balance.residual(firm.unknowns)))
         apart = firm.converged or (norm < CLOSE and abs(left - firm.residual) > ALIKE * left)
@@ -93,6 +96,27 @@ def run_newton(
         return replace(firm, residual=left)
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts), iterations=steps)
+
+
+def _soften(newton: _Newton, balance: HarmonicBalance, start: RealArray, tolerance: float) -> list[Attempt]:
+    """From a solution of the firm balance to that of the balance through some that are ever less firm.
+
+    Returns:
+        The runs; empty where none is between the two.
+    """
+    attempts: list[Attempt] = []
+    for share in SOFTER:
+        between = HarmonicBalance(balance.system, balance.force_unit, share)
+        if between.is_like(balance):
+            break
+        attempts.append(newton.run(between, start, max(tolerance, TAKE_OVER), near=True))
+        if not attempts[-1].converged:
+            break
+        start = attempts[-1].unknowns
+    left = [replace(a, residual=float(np.linalg.norm(balance.residual(a.unknowns))), converged=False) for a in attempts]
+    if attempts and attempts[-1].converged:
+        left.append(newton.run(balance, start, tolerance, near=True))
+    return left
 
 
 class _Newton:

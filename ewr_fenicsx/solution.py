@@ -14,6 +14,7 @@ from ewr_fenicsx.floquet import find_growth, grows, list_unfollowed, settles, te
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.ignored import list_ignored
+from ewr_fenicsx.loading_history import tell_history
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
 from ewr_fenicsx.walking import measure_walk
@@ -132,7 +133,7 @@ class PeriodicSolution(PeriodicMotion):
         lines += self.list_broken_symmetry() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
-        lines += list_ignored(self.problem)
+        lines += list_ignored(self.problem) + tell_history(self.problem, self.forces, self.rigid)
         if self.rigid.size and (walk := measure_walk(*self._pose())).slow:
             lines.append(str(walk))
         if self.unstable:

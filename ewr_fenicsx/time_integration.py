@@ -260,9 +260,10 @@ def integrate(
     Args:
         problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
         start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
-            another result; ``"rest"``: the static full-stick state under the mean load, without velocity, or where
-            there is a clearance, which full stick would close, the static solution of the laws; None: that solution
-            where there is a clearance, if it is found, else the full-stick periodic state.
+            another result; ``"rest"``: the static state under the mean load, without velocity, in which all pairs are
+            closed, and without friction unless ``static_friction = "held"``; where there is a clearance, or friction
+            is held, the static solution of the laws; None: that solution there, if it is found, else the full-stick
+            periodic state, whose mean is the same state.
         steps: Steps a period.
         periods: Most periods to step.
         tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the

@@ -82,11 +82,14 @@ def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
 
 def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArray, float]:
     """Mean force ``(m,)`` that friction leaves to springs, zero where it is the solver's, and the largest one [N]."""
-    held = balance.static_displacement_row > 0
-    if not (balance.basis.has_mean and np.any(held)):
+    held, springs = balance.static_displacement_row > 0, balance.static_displacement_row.copy()
+    if not (balance.rigid and np.any(held)):
         return np.zeros(balance.rows), 1.0
+    for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
+        # stronger springs than the law's are but for the start of a run
+        springs[rows] = np.where(balance.held[rows], law.static_displacement_row, springs[rows])
     forces, rigid = balance.unpack(unknowns)
     drawn = balance.compliance.motion(forces[:1], rigid)[0].real
-    left = np.abs(balance.static_force_row * forces[0].real + balance.static_displacement_row * drawn) * held
+    left = np.abs(balance.static_force_row * forces[0].real + springs * drawn) * held
     unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
     return np.where(left > unsolved, left, 0.0), float(np.abs(balance.basis.synthesise(forces[:, held])).max()) or 1.0

@@ -16,6 +16,7 @@ _VARYING = {0: np.array([9.0, 8.0, 10.0]), 1: np.array([3.0j, 2.0, -4.0])}
 LAWS: dict[str, ContactLaws | list] = {  # every combination that has unknowns
     "unilateral coulomb": ContactLaws(friction=[0.3, 0.5, 0.8]),
     "unilateral coulomb, mean zero": ContactLaws(friction=0.4, static_friction="zero"),
+    "unilateral coulomb, held in place": ContactLaws(friction=[0.3, 0.5, 0.8], static_friction="held"),
     "unilateral frictionless": ContactLaws(tangential="frictionless", initial_gap=[0.0, 0.1, 0.3]),
     "unilateral bonded": ContactLaws(tangential="bonded"),
     "bonded coulomb": ContactLaws("bonded", friction=0.4),

@@ -12,7 +12,7 @@ from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.coulomb import MEAN_FRICTION_REGULARISATION
+from ewr_fenicsx.mean_friction import HELD, MEAN_FRICTION_REGULARISATION
 from ewr_fenicsx.newton_step import Factorisation
 
 
@@ -115,6 +115,8 @@ def residual_by_loops(problem: ContactProblem, forces: np.ndarray, samples: int)
         if direction == "tangential" and orders[0] == 0:
             if laws_at[k].static_friction == "zero":
                 result[0, r] = 0.0
+            elif laws_at[k].static_friction == "held":
+                result[0, r] += HELD / problem.system.flexibility[r] * q[0][r]
             else:
                 result[0, r] += MEAN_FRICTION_REGULARISATION * forces[0, r]
     return result

@@ -1,0 +1,157 @@
+"""``static_friction = "held"``: pairs that stick throughout carry what a slow loading from rest leaves them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, integrate, solve
+from ewr_fenicsx.time_stepping import State
+
+PULL, NORMAL, ALONG, CLAMP = 200.0, 1e6, 2e6, 1e6  # N; stiffness of the flank, along it, and of the clamp [N/m]
+GROUND = 2e5
+
+
+def clamped_flank(shake: float) -> ReducedModel:
+    """A mass pulled onto a flank across x, on which it rubs along y, and clamped along x by friction.
+
+    Coordinates: the mass in x and y, then massless surfaces: the flank's, across and along, and the clamp's.
+    """
+    stiffness = np.zeros((5, 5))
+    for at, k in (([0], GROUND), ([1], 1e6), ([0, 2], NORMAL), ([1, 3], ALONG), ([0, 4], CLAMP)):
+        row = np.zeros(5)
+        row[at] = [1.0, -1.0][: len(at)]
+        stiffness += k * np.outer(row, row)
+    return ReducedModel(
+        mass=np.diag([1.0, 1.0, 0, 0, 0]),
+        damping=np.diag([60.0, 20.0, 0, 0, 0]),
+        stiffness=stiffness,
+        normal=[[0, 0, 1.0, 0, 0], [0, 0, 0, 0, 0]],
+        tangential=[[0, 0, 0, 1.0, 0], [0, 0, 0, 0, 1.0]],
+        load={0: [-PULL, 0, 0, 0, 0], 1: [0, shake, 0, 0, 0]},
+        outputs={"y": [0, 1.0, 0, 0, 0]},
+        pair_area=[1e-4, 1e-4],
+    )
+
+
+def clamp(static_friction: str = "held", tangential: str = "coulomb", squeeze: float = 1000.0) -> list:
+    """The laws of the flank, on which all the loads act, and of the clamp, whose limit is half of its squeeze."""
+    flank = ContactLaws(friction=0.4, static_friction=static_friction)
+    given = {"normal": "prescribed", "normal_force": squeeze, "tangential": tangential}
+    return [([0], flank), ([1], ContactLaws(friction=0.5, static_friction=static_friction, **given))]
+
+
+def pose(shake: float, laws: list, harmonics: int = 15) -> ContactProblem:
+    return ContactProblem(clamped_flank(shake), laws, 170.0, harmonics)
+
+
+def swing(solution) -> float:
+    return float(np.abs(solution.output("y")[1]))
+
+
+@pytest.mark.parametrize("shake", [20.0, 40.0, 60.0, 100.0])
+def test_a_clamp_that_sticks_is_as_good_as_bonded(shake):
+    held, bonded = solve(pose(shake, clamp())), solve(pose(shake, clamp(tangential="bonded")))
+    firm = solve(pose(shake, clamp(squeeze=1e6)))
+    for solution in (held, firm):
+        assert swing(solution) == pytest.approx(swing(bonded), rel=1e-3)
+        assert solution.history("friction_force")[:, 1].mean() == pytest.approx(PULL * CLAMP / 2.2e6, rel=1e-3)
+    assert held.history("normal_force")[:, 0].mean() == pytest.approx(PULL * NORMAL / 2.2e6, rel=1e-3)
+    assert held.merit["friction_dissipation"] == pytest.approx(bonded.merit["friction_dissipation"], rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("shake", [40.0, 60.0, 100.0])
+def test_it_is_where_time_stepping_comes_to_from_rest(shake):
+    problem = pose(shake, clamp())
+    loaded = np.zeros(5)
+    loaded[0] = -PULL / (GROUND + NORMAL + CLAMP)
+    for start in ("rest", State(loaded, np.zeros(5))):
+        steady = integrate(problem, start, periods=400, tolerance=1e-6)
+        assert steady.converged
+        assert swing(solve(problem, accuracy=0.01)) == pytest.approx(float(np.abs(steady.output("y")[1])), rel=0.01)
+
+
+def test_without_it_the_answer_is_another_and_says_that_it_is_open():
+    least = solve(pose(60.0, clamp("resolved")))
+    assert swing(solve(pose(60.0, clamp()))) > 9 * swing(least)
+    (told,) = (line for line in least.cautions if "depends on how the loads came" in line)
+    assert "friction holds pair 1 throughout" in told and "normal forces" in told and 'static_friction = "held"' in told
+    assert not any("how the loads came" in line for line in solve(pose(60.0, clamp())).cautions)
+
+
+def test_one_whose_pairs_all_slip_is_not_open():
+    slips = solve(ContactProblem(dovetail(excitation=400.0), ContactLaws(friction=0.05), 900.0))
+    assert not any("how the loads came" in line for line in slips.cautions)
+    sticks = solve(ContactProblem(dovetail(excitation=10.0), ContactLaws(friction=0.3), 900.0))
+    assert any("how the loads came" in line for line in sticks.cautions)
+
+
+@pytest.mark.parametrize("squeeze, place", [(1000.0, 0.0), (200.0, 4e-5), (0.0, 1e-4)])
+def test_a_static_load_moves_what_friction_does_not_hold(squeeze, place):
+    model = ReducedModel([[1.0]], [[20.0]], [[1e6]], None, [[1.0]], {0: [100.0]}, outputs={"x": [1.0]})
+    laws = ContactLaws("prescribed", normal_force=squeeze, friction=0.3, static_friction="held")
+    found = solve(ContactProblem(model, laws, 0.0))
+    assert found.output("x")[0].real == pytest.approx(place, rel=1e-5, abs=1e-10)
+    least = solve(replace(found.problem, laws=replace(laws, static_friction="resolved")))
+    assert least.output("x")[0].real == pytest.approx(1e-4)
+    assert any("where they rest" in line for line in least.cautions) == (squeeze > 0)
+
+
+def shaken_node(damping: float, mean: float) -> ContactProblem:
+    """A mass at its resonance with a surface that sticks: its force swings by 20 N of a limit of 50 N."""
+    ground, spring = 1e5, 9e5
+    omega = np.sqrt(ground + spring)
+    stiffness = np.array([[ground + spring, -spring], [-spring, spring]])
+    shake = 20.0 * 2 * damping * (ground + spring) / spring
+    model = ReducedModel(
+        np.diag([1.0, 0.0]),
+        2 * damping / omega * stiffness,
+        stiffness,
+        None,
+        [[0.0, 1.0]],
+        {0: [mean, 0.0], 1: [shake, 0.0]},
+        outputs={"x": [1.0, 0.0]},
+    )
+    laws = ContactLaws("prescribed", normal_force=100.0, friction=0.5, static_friction="held")
+    return ContactProblem(model, laws, omega / 2 / np.pi, 15)
+
+
+@pytest.mark.parametrize("closure", ["mass", "dashpot", "spring"])
+@pytest.mark.parametrize("mean, carried, place", [(20.0, 18.0, 2e-5), (60.0, 30.0, 3e-4)])
+def test_vibration_shakes_down_what_the_limit_does_not_allow(mean, carried, place, closure):
+    """Of 60 N friction would hold 54 N. Beside the 20 N of the vibration its limit allows 30 N.
+
+    Nothing slips any more in the steady state: the amplitude is that of the stuck joint, at any damping.
+    """
+    found = solve(replace(shaken_node(1e-3, mean), closure=closure))
+    assert found.history("friction_force").mean() == pytest.approx(-carried, rel=2e-3)
+    assert found.output("x")[0].real == pytest.approx(place, rel=2e-3)
+    assert np.abs(found.output("x")[1]) == pytest.approx(20.0 / 9e5, rel=2e-3)
+
+
+@pytest.mark.parametrize("damping, lost", [(1e-2, 2e-4), (1e-3, 2e-3), (2e-4, 1e-2)])
+def test_creep_of_pairs_at_their_limit_takes_next_to_nothing(damping, lost):
+    found = solve(shaken_node(damping, 60.0))
+    assert 1 - np.abs(found.output("x")[1]) / (20.0 / 9e5) == pytest.approx(lost / 2, abs=lost / 2)
+
+
+@pytest.mark.parametrize("frequency", [600.0, 900.0])
+def test_starts_lead_to_the_same_state(frequency):
+    laws = ContactLaws(friction=0.2, static_friction="held")
+    problem = ContactProblem(dovetail(excitation=100.0), laws, frequency, 5)
+    cold = solve(problem)
+    near = solve(replace(problem, laws=replace(laws, static_friction="resolved")))
+    warm = solve(problem, start=near)
+    np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-5 * np.abs(cold.forces).max())
+    assert np.linalg.norm(near.forces[0] - cold.forces[0]) > 0.03 * np.linalg.norm(cold.forces[0])
+
+
+def test_a_pair_that_holds_takes_over_what_another_wears_off():
+    """The flank stops to wear when the clamp carries all that the ground does not: by a closed form."""
+    worn = evolve_wear(pose(100.0, clamp(), 9), 2000, 3e-10, progress=False)
+    spent = PULL / (GROUND + CLAMP)  # approach at which the flank carries nothing [m]
+    assert worn.depth[-1][0] == pytest.approx(spent, rel=0.1)
+    assert worn.solutions[-1].history("friction_force")[:, 1].mean() == pytest.approx(CLAMP * spent, rel=0.1)
