@@ -276,7 +276,7 @@ def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = ("structure", "accuracies", "stages")
+    parts = ("structure", "accuracies", "stages", "peak")
     parser.add_argument("--only", choices=parts, help="measure that part anew, keep the rest")
     parser.add_argument(
         "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
@@ -303,6 +303,8 @@ def main() -> None:
     scene = load_scene(SCENE)
     chain = build_chain(scene, MPI.COMM_SELF)
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    if arguments.only == "peak":
+        return keep("peak", peak=turn_peak(problem, quick))
     reference, own, _ = find_reference(problem, (100, 200) if quick else REFERENCE_STEPS)
     high = replace(problem, harmonics=9 if quick else HIGH_ORDER)
     agreement = compare_figures(measure_figures(solve(high)), reference)

@@ -32,7 +32,8 @@ that rub by themselves close the truncation of friction, and above harmonic 3 sp
 first one tells of far more than is asked, or of far less where the last harmonics changed little. In large joints
 operator splitting takes their place, as far as it gets. The estimate comes with the result, and so does the reason
 where the accuracy was not reached. It covers the outputs at the given frequency, as far as contact solve and modes
-decide on them. It knows nothing of the mesh's error.
+decide on them. It knows nothing of the mesh's error. Sliding (`J_T`, and the work of friction) converges more slowly:
+the same steps tell its own error, which is in no total, and is told beside it where it is much larger.
 
 **Modes.** In a scene the modes are raised as well: `reduction.modes`, given or not, is where they begin. They are
 doubled where those left out matter most; mesh, matrices, static responses and the modes already found are kept.
