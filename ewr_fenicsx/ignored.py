@@ -16,7 +16,7 @@ ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pu
 def list_ignored(problem: ContactProblem) -> list[str]:
     """A line for each thing that does nothing."""
     lines = []
-    if not problem.driven:
+    if not (problem.loads or problem.driven):
         lines.append(
             "nothing acts on the joint, neither a load nor a given force: give the model, or the problem, a load"
         )

@@ -23,12 +23,10 @@ MAX_STEPS = 150  # -ewr_snes_max_it
 TAKE_OVER = 1e-7  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 SMALLEST_DAMPING = 1e-6  # of a Newton step
-# The residual must fall below this share of itself over so many steps, while it is between these: runs that creep from
-# kink to kink end at a corner without a solution. Far off, Newton may creep for long and still arrive, if not quite so
-# slowly; and where next to nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
-STALLS = ((4, 0.95, 1e-5, np.inf), (5, 0.8, 1e-5, 3e-3))
-CLOSE = 3e-3  # residual below which a start may be the balance's, though it is not the firm balance's
-ALIKE = 1e-2  # relative difference of what both leave over where the firm one fails, up to which both fare alike
+# Between these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
+# there end at a corner without a solution. Far off, Newton may creep for long and still arrive; so it may where next to
+# nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
+STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
 # From so many unknowns on, dense factors are made in single precision, in half the time, and refined by GMRES to
 # ``ROUGH_TOLERANCE``. They precondition later steps too, for few samples change status in between: how exact such a
 # step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
@@ -85,15 +83,13 @@ def run_newton(
         attempts = []
         if firm.converged:  # the factors of its last step serve the balance as well
             attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
-            if not attempts[0].converged:
+            if np.any(balance.held) and not attempts[0].converged:
                 attempts += _soften(newton, balance, firm.unknowns, tolerance)
         # weights far above the defaults put the two balances far apart: then from the start again
-        left = float(np.linalg.norm(balance.residual(firm.unknowns)))
-        apart = firm.converged or (norm < CLOSE and abs(left - firm.residual) > ALIKE * left)
-        if apart and not any(attempt.converged for attempt in attempts):
+        if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BETWEEN[1]):
             attempts.append(newton.run(balance, start, tolerance, near))
     if not attempts:
-        return replace(firm, residual=left)
+        return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts), iterations=steps)
 
@@ -213,10 +209,8 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.CONVERGED_FNORM_ABS)
             if taken == limit:
                 return snes.setConvergedReason(reason.DIVERGED_MAX_IT)
-            if any(
-                low < norm < high and taken >= steps and norm > share * norms[-1 - steps]
-                for steps, share, low, high in STALLS
-            ):
+            low, high = STALL_BETWEEN
+            if low < norm < high and taken >= STALL_STEPS and norm > STALL_SHARE * norms[-1 - STALL_STEPS]:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)

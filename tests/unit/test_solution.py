@@ -291,7 +291,8 @@ def test_a_summary_says_where_truncation_is_coarse(rubbing):
     assert expected in off.summary() and "out of balance" not in coarse.summary()
     undamped = replace(dovetail(excitation=1.0), damping=np.zeros((26, 26)))
     stuck = solve(ContactProblem(undamped, ContactLaws(friction=5.0), 200.0, 3))
-    assert abs(stuck.merit["energy_error"]) > 0.01 and stuck.cautions == ()
+    (open_to_history,) = stuck.cautions  # and not a word on energies
+    assert abs(stuck.merit["energy_error"]) > 0.01 and "depends on how the loads came" in open_to_history
     alone = ReducedModel(
         mass=np.eye(2),
         damping=20 * np.eye(2),
