@@ -152,17 +152,25 @@ class Responses:
     def to_rows(self, h: int) -> ComplexArray:
         """``(p, m)`` to unit forces at the rows, at a harmonic."""
         if h not in self._known:
-            self._known[h] = self._respond(h, self.rows.T, self.seen[: len(self.rows)].T if self.modes else None)
+            self._known[h] = self._respond_to_rows(h)
         return self._known[h]
 
     def to_load(self, h: int, force: ComplexArray) -> ComplexArray:
         """``(p,)`` to a load ``(n,)`` at a harmonic."""
-        return self._respond(h, force[:, None], self.modes.shapes.T @ force[:, None] if self.modes else None)[:, 0]
+        if self._uncouples(h):  # the fewest products first
+            return self.seen @ (self.modes.gain(h * self.omega) * (self.modes.shapes.T @ force))
+        return self._solve(h, force[:, None])[:, 0]
 
-    def _respond(self, h: int, forces: ComplexArray, excited: ComplexArray | None) -> ComplexArray:
-        if self.modes is None or (h == 0 and self.generalised_inverse == "pinned"):
-            return receptance(self.model, h * self.omega, self.readers, forces, self.generalised_inverse)
-        return superpose(self.seen, self.modes.gain(h * self.omega), excited)
+    def _respond_to_rows(self, h: int) -> ComplexArray:
+        if self._uncouples(h):
+            return superpose(self.seen, self.modes.gain(h * self.omega), self.seen[: len(self.rows)].T)
+        return self._solve(h, self.rows.T)
+
+    def _uncouples(self, h: int) -> bool:
+        return self.modes is not None and (h != 0 or self.generalised_inverse != "pinned")
+
+    def _solve(self, h: int, forces: ComplexArray) -> ComplexArray:
+        return receptance(self.model, h * self.omega, self.readers, forces, self.generalised_inverse)
 
 
 @dataclass(frozen=True, eq=False)

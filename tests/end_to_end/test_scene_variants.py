@@ -298,7 +298,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
 
 
 def test_where_a_cycle_wears_too_much_the_remedy_is_a_key_of_the_scene(tmp_path, capsys):
-    wears = "[wear]\ncycles = 20\ncoefficient = 1e-3\n"
+    wears = "[wear]\ncycles = 20\ncoefficient = 5e-5\n"
     scene = tmp_path / "scene.toml"
     scene.write_text(write_blocks(wears, shake=150.0))
     assert main(["run", str(scene), "--out", str(tmp_path / "results")]) == 0
