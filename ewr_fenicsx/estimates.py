@@ -42,7 +42,9 @@ MODES_DROPPED = 1 / 3
 RATE, RATE_WITH_DASHPOTS = 2.0, 1.5
 FIRST_ORDER = 3  # highest harmonic up to which no springs are used: so few say little with them
 ROUNDED = 1e-12  # share of the largest response, below which another one is its rounding
-AT_REST = 1e-9  # share of what contact and loads would move if none cancelled, below which what moves is what is left
+# Share of what contact and loads would move if none cancelled, below which what moves is what solves leave, and looks
+# ahead, which do not end at a solution
+AT_REST = 1e-7
 USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
 LARGEST_AHEAD = 2000  # unknowns of a solution, up to which a neighbouring problem is solved where single steps fail
@@ -52,6 +54,7 @@ SURPRISE = 5.0  # times below how far the solution moved with its last harmonics
 
 # Of the estimated error of the sliding: over that of the response, and by itself, from where on it is worth a word
 FAR_OFF, WORTH_A_WORD = 2.0, 0.05
+COARSE, UNKNOWN = 0.02, 1.0  # estimated error that a user should know a remedy for; one that tells no more than that
 Figure = Callable[[PeriodicSolution], RealArray]
 
 
@@ -97,6 +100,15 @@ class ErrorEstimate:
         """What is to be said of the sliding, for people; "" where it is no further off than all else."""
         worse = self.sliding > max(FAR_OFF * self.total, WORTH_A_WORD)
         return f"sliding (J_T, dissipation) may be off by {self.sliding:.0%}" if worse else ""
+
+    def tell(self, what: str, remedy: str) -> str:
+        """How far off ``what`` is thought to be, and the remedy where that is much, for people."""
+        size = f"estimated error of {what} {self.total:.1g}"
+        if not self.total < UNKNOWN:
+            return f"NOT accurate: {size}; {remedy}"
+        slides = f"; {self.told_sliding}" if self.told_sliding else ""
+        line = f"{size} ({self.shares}){slides}"
+        return f"{line}; {remedy}" if self.total > COARSE or slides else line
 
     @property
     def truncation(self) -> float:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ewr_fenicsx.wear import WearHistory
 
 ROUND = 256  # samples of a period, looked through for the largest motion
-COARSE, UNKNOWN = 0.02, 1.0  # estimated error that a user should know a remedy for; one that tells no more than that
 FEW = 5  # frequencies or cycles that are told one by one
 
 
@@ -96,12 +95,7 @@ def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
     The mesh is not in it: its error, often the largest, shows only on another mesh.
     """
     remedy = "solver.accuracy = 0.01 takes as many harmonics and modes as that needs"
-    size = f"estimated error of {what} {estimate.total:.1g} without that of the mesh"
-    if not estimate.total < UNKNOWN:
-        return f"  NOT accurate: {size}; {remedy}"
-    slides = f"; {estimate.told_sliding}" if estimate.told_sliding else ""
-    line = f"  {size} ({estimate.shares}){slides}"
-    return f"{line}; {remedy}" if estimate.total > COARSE or slides else line
+    return f"  {estimate.tell(f'{what}, that of the mesh aside,', remedy)}"
 
 
 def list_accuracy(found: AccurateSolution) -> dict[str, object]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -51,6 +51,7 @@ class PeriodicSolution(PeriodicMotion):
         why_left_out: By which symmetry.
         estimated_error: Of the outputs, relative, where an accuracy was asked of ``solve``; NaN: nobody looked.
         short: Why it is not as accurate as asked, and what to do; "" where it is, or where nothing was asked.
+        tell_error: What its summary says of its error, asked for then, since that takes as long as some Newton steps.
     """
 
     converged: bool
@@ -65,6 +66,7 @@ class PeriodicSolution(PeriodicMotion):
     why_left_out: str = ""
     estimated_error: float = np.nan
     short: str = ""
+    tell_error: Callable[[PeriodicSolution], str] | None = None
 
     def __repr__(self) -> str:
         where = f"{self.problem.frequency:g} Hz, {self.problem.model.pairs} pairs, harmonics up to {self.orders[-1]}"
@@ -319,6 +321,10 @@ class PeriodicSolution(PeriodicMotion):
         fields = [seen for law, seen in self.law_fields(self.problem.basis) if law.direction == "normal"]
         return [seen["open"] for seen in fields if "open" in seen]
 
+    @cached_property
+    def _told_error(self) -> str:
+        return self.tell_error(self) if self.tell_error and self.converged else ""
+
     def summary(self) -> str:
         """A few lines for people."""
         state = "converged" if self.converged else f"NOT converged ({self.reason})"
@@ -333,6 +339,8 @@ class PeriodicSolution(PeriodicMotion):
         ]
         if not np.isnan(self.estimated_error):
             lines.append(f"  estimated error {self.estimated_error:.1g}")
+        if self._told_error:
+            lines.append(f"  {self._told_error}")
         if self.short:
             lines.append(f"  NOT as accurate as asked: {self.short}")
         if not self.touches:

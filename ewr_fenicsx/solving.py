@@ -7,7 +7,8 @@ from dataclasses import replace
 from ewr_fenicsx import newton
 from ewr_fenicsx.accuracy import solve_to_accuracy
 from ewr_fenicsx.contact_problem import ContactProblem
-from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.errors import EwrError, ModelError, NotConverged
+from ewr_fenicsx.estimates import estimate_at_once
 from ewr_fenicsx.snes import LinearSolver
 from ewr_fenicsx.solution import PeriodicSolution
 
@@ -37,15 +38,16 @@ def solve(
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
-        The solution: motions, contact forces and figures of merit, and how it was found. With an accuracy, its
-        ``estimated_error``, and in ``short`` and its summary why it is not as accurate as asked, where it is not.
+        The solution: motions, contact forces and figures of merit, and how it was found; its summary estimates its
+        error. With an accuracy, its ``estimated_error``, and in ``short`` and its summary why it is not as accurate as
+        asked, where it is not.
 
     Raises:
         ModelError: An argument makes no sense, or is not for an accuracy.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
     if accuracy is None:
-        return newton.solve(
+        solution = newton.solve(
             problem,
             start,
             tolerance,
@@ -53,6 +55,7 @@ def solve(
             fallbacks=fallbacks,
             raise_on_failure=raise_on_failure,
         )
+        return replace(solution, tell_error=tell_error)
     if linear_solver != "elimination" or not fallbacks:
         raise ModelError(
             "linear_solver and fallbacks: an accuracy, which takes several solves, chooses them; leave them out"
@@ -65,3 +68,17 @@ def solve(
         return error.best
     short = f"{found.limit}; {found.remedy}" if found.limit else ""
     return replace(found.solution, estimated_error=found.estimate.total, short=short)
+
+
+def tell_error(solution: PeriodicSolution) -> str:
+    """How far off a solution is thought to be that no accuracy was asked of, for people; "" where nothing is left out.
+
+    What its reduced model lacks, modes and mesh, is not in it.
+    """
+    if not solution.problem.frequency or not solution.unknowns:
+        return ""
+    try:
+        estimate = estimate_at_once(solution)
+    except (EwrError, MemoryError) as error:  # the solution is there, and not to be lost for it
+        return f"its error is not known: {str(error) or 'out of memory'}"
+    return estimate.tell("the outputs", "solve(problem, accuracy=0.01) takes as many harmonics as that needs")

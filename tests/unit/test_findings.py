@@ -35,17 +35,17 @@ def test_points_that_fall_short_for_the_same_reason_share_a_line(count, told):
     [
         (
             (0.01, 1e-4),
-            "  estimated error of the response 0.01 without that of the mesh "
+            "  estimated error of the response, that of the mesh aside, 0.01 "
             "(harmonics and samples 0.01, modes 0.0001)",
         ),
         (
             (0.3, np.nan),
-            "  estimated error of the response 0.3 without that of the mesh (harmonics and samples 0.3); "
+            "  estimated error of the response, that of the mesh aside, 0.3 (harmonics and samples 0.3); "
             "solver.accuracy = 0.01 takes",
         ),
         (
             (np.inf, np.nan),
-            "  NOT accurate: estimated error of the response inf without that of the mesh; solver.accuracy = 0.01 "
+            "  NOT accurate: estimated error of the response, that of the mesh aside, inf; solver.accuracy = 0.01 "
             "takes",
         ),
     ],

@@ -306,7 +306,8 @@ def test_a_summary_says_where_truncation_is_coarse(rubbing):
 
 
 def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
-    late = replace(rubbing, fallbacks=("cold start: fell no further", "time stepping: residual below"))
+    fallbacks = ("cold start: fell no further", "time stepping: residual below")
+    late = replace(rubbing, fallbacks=fallbacks, tell_error=None)
     lines = late.summary().splitlines()
     assert lines[1] == "  fallback: cold start: fell no further"
     assert lines[3] == "  found by a fallback: there may be other solutions, and the stability of this one is not known"
