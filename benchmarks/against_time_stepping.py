@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/against_time_stepping.py                     1000 and 1200 Hz: some ten minutes
     .venv/bin/python benchmarks/against_time_stepping.py --frequencies 1000 --weight 1
 
-The harmonic solver with both closures of Coulomb's law (docs/method.md): dashpots, the default, and springs.
+The harmonic solver with both closures of Coulomb's law (docs/method.md): dashpots and springs.
 
 Near the resonance of the slipping joint (1000 Hz) and off it (1200 Hz). Errors are those of the tip: of the complex
 amplitude of its first harmonic, of that amplitude's modulus, and of the rms of the oscillation, all relative, against

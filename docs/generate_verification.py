@@ -1,6 +1,7 @@
 """Write docs/verification.md: every number in it comes from a run of this script.
 
-    .venv/bin/python docs/generate_verification.py          some three minutes
+    .venv/bin/python docs/generate_verification.py                  some three minutes
+    .venv/bin/python docs/generate_verification.py --benchmarks     at once: what benchmarks/results holds
 
 The closed forms are in `verification_cases.py`, the blade root here; the sections on the other code and on times show
 benchmarks/results, where those benchmarks have been run.
@@ -283,10 +284,18 @@ its oscillation; of gaps, normal forces and admissible friction forces as root m
 relative to their own. The cone violation is that of the truncated friction force, over the largest limit."""
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, default=PAGE, help="[docs/verification.md]")
-    arguments = parser.parse_args()
+def write_benchmarks() -> str:
+    """The sections on benchmarks, as their results are now."""
+    lines = []
+    for title, (name, describe) in BENCHMARKS.items():
+        found = read_results(name)
+        missing = [f"Not run here: `.venv/bin/python benchmarks/{name}.py`."]
+        lines += [f"## {title}", "", *(missing if found is None else describe(found)), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def write_cases() -> str:
+    """The sections on closed forms and on the blade root, all run anew."""
     lines = [INTRODUCTION]
     for title, cases in SECTIONS.items():
         measure_case(cases[0])  # first calls load and compile things
@@ -298,11 +307,18 @@ def main() -> None:
         state, rows = compare_blade_root(*setting)
         lines += [f"### {name}", "", state, "", write_table(BLADE_HEADER, rows), ""]
         print(name, state, lines[-2], sep="\n", flush=True)
-    for title, (name, describe) in BENCHMARKS.items():
-        found = read_results(name)
-        missing = [f"Not run here: `.venv/bin/python benchmarks/{name}.py`."]
-        lines += [f"## {title}", "", *(missing if found is None else describe(found)), ""]
-    arguments.output.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=PAGE, help="[docs/verification.md]")
+    parser.add_argument("--benchmarks", action="store_true", help="only the sections on benchmarks, from their results")
+    arguments = parser.parse_args()
+    cases = PAGE.read_text(encoding="utf-8").partition(f"## {next(iter(BENCHMARKS))}\n")[0]
+    if not arguments.benchmarks:
+        cases = write_cases()
+    arguments.output.write_text(cases + write_benchmarks(), encoding="utf-8")
     print(f"wrote {arguments.output}")
 
 

@@ -33,6 +33,10 @@ def test_headings_are_the_scripts():
     assert list(read_tables()) == ["Verification", *sections], AGAIN
 
 
+def test_sections_on_benchmarks_are_what_the_results_say():
+    assert page.PAGE.read_text(encoding="utf-8").endswith(page.write_benchmarks()), f"{AGAIN}, with --benchmarks"
+
+
 @pytest.mark.parametrize("title", page.SECTIONS)
 def test_every_case_has_its_rows(title):
     header, *rows = read_tables()[title]
