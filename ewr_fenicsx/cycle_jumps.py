@@ -99,7 +99,7 @@ class WearRun:
         else:
             solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
             first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
-        return WearState(first, None, self.jump.first if self.jump else 1, 1, (first,), None)
+        return WearState(first, None, self.jump.first if self.jump else 1, 1, 0, (first,), None)
 
     def go_on(self, state: WearState) -> Iterator[WearState]:
         """The states after a state, one a step, to the end."""
@@ -149,7 +149,8 @@ class WearRun:
         if self.jump:
             free = min(growth, SAFETY * np.sqrt(room))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
-        return self._keep(replace(state, jump=following, solves=state.solves + solves), ahead)
+        rough = state.rough + int(room < 1)
+        return self._keep(replace(state, jump=following, solves=state.solves + solves, rough=rough), ahead)
 
     def _try_jump(self, state: WearState, length: int, decay: RealArray) -> tuple[WearStep, RealArray, float]:
         """The step after a jump of first order, the depth of second order ``(K_c,)`` [m], and the room there is.

@@ -192,6 +192,11 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
         )
         told = f"  NOT as accurate as asked after {list_few(history.short, 'numbers of')} cycles"
         lines += [told] if history.short.size else []
+    if history.rough:
+        lines.append(
+            f"  NOT within the tolerance: each of {history.rough} cycles wore more than contact can follow, and their "
+            "depth is rough; lower wear.coefficient"
+        )
     lines += [f"  stopped {history.stopped}"] if history.stopped else []
     if history.depth[-1].max() > through:
         lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
@@ -206,6 +211,7 @@ def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
             "cycles": int(history.cycles[-1]),
             "solves": history.solves,
             "stopped": history.stopped,
+            "rough_cycles": history.rough,
             "reservations_of_first_solve": reservations,
         }
     }

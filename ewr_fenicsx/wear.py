@@ -39,6 +39,7 @@ class WearHistory:
         solves: Periodic solves that it took.
         stopped: Why wear was not followed to the last cycle; None where it was.
         accuracy: What was asked for of the solutions; None: harmonics and samples were given.
+        rough: Cycles that each wore more than contact can follow, and so are further off than ``jump`` allows.
     """
 
     problem: ContactProblem
@@ -47,9 +48,11 @@ class WearHistory:
     solves: int
     stopped: str | None
     accuracy: float | None = None
+    rough: int = 0
 
     def __repr__(self) -> str:
         told = f"stopped {self.stopped}" if self.stopped else "to the last one"
+        told += f"; NOT within the tolerance at {self.rough} cycles" if self.rough else ""
         told += f"; NOT as accurate as asked at {len(self.short)} of them" if len(self.short) else ""
         return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
 
@@ -228,7 +231,7 @@ def evolve_wear(
     finally:
         if store and state is not saved:
             store.write(state)
-    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy)
+    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy, state.rough)
 
 
 def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) -> RealArray:

@@ -15,7 +15,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.solution_store import read_records, restore, strip, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
 
-_FORMAT = "ewr_fenicsx wear, 5"
+_FORMAT = "ewr_fenicsx wear, 6"
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,7 @@ class WearState:
         latest, earlier: The last two steps.
         jump: Length of the next jump to try [cycles].
         solves: Periodic solves so far.
+        rough: Single cycles so far that were further off than the tolerance allows.
         steps: Steps kept so far.
         stopped: Why it ended before its last cycle, or None.
     """
@@ -53,6 +54,7 @@ class WearState:
     earlier: WearStep | None
     jump: int
     solves: int
+    rough: int
     steps: tuple[WearStep, ...]
     stopped: str | None
 
@@ -73,7 +75,7 @@ class WearFile:
         """Replace the file by one with this state."""
         with replace_file(self.path) as file:
             file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
-            file.attrs["jump"], file.attrs["solves"] = state.jump, state.solves
+            file.attrs["jump"], file.attrs["solves"], file.attrs["rough"] = state.jump, state.solves, state.rough
             file.attrs["stopped"] = state.stopped or ""
             file["pair_area"] = self.problem.model.areas
             self._write_steps(file.create_group("steps"), state.steps)
@@ -99,6 +101,7 @@ class WearFile:
                 earlier=earlier[0] if earlier else None,
                 jump=int(file.attrs["jump"]),
                 solves=int(file.attrs["solves"]),
+                rough=int(file.attrs["rough"]),
                 steps=tuple(self._read_steps(file["steps"])),
                 stopped=str(file.attrs["stopped"]) or None,
             )

@@ -310,6 +310,8 @@ def test_where_a_cycle_wears_too_much_the_remedy_is_a_key_of_the_scene(tmp_path,
     assert main(["run", str(scene), "--out", str(tmp_path / "healed")]) == 0
     healed = json.loads((tmp_path / "healed" / "summary.json").read_text())["wear"]
     assert healed["stopped"] is None and healed["cycles"] == 20
+    assert 10 < healed["rough_cycles"] <= 20, "a twentieth of a cycle is all that contact can follow at first"
+    assert f"NOT within the tolerance: each of {healed['rough_cycles']} cycles wore" in capsys.readouterr().out
 
 
 def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):

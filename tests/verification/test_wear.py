@@ -202,6 +202,7 @@ def test_a_load_that_wear_relieves_is_worn_to_its_equilibrium_and_no_deeper(rate
     history = evolve_wear(problem, 50, rate / spring * area / (4 * swing), Tolerance(share=0.01))
     assert history.stopped is None and history.cycles[-1] == 50
     assert history.depth[-1, 0] == pytest.approx(preload / spring, rel=0.02)
+    assert 0 < history.rough < 50 and f"NOT within the tolerance at {history.rough} cycles" in repr(history)
 
 
 @pytest.mark.parametrize("share", [1e-1, 1e-2, 1e-3, 1e-4])
@@ -211,6 +212,7 @@ def test_jumped_and_every_cycle_runs_agree_within_the_tolerance(share, damped):
     cycles, problem = 300, dovetail_problem()
     every = dovetail_history(cycles)
     jumped = evolve_wear(problem, cycles, WEAR_OF_DOVETAIL, Tolerance(share=share, damped=damped))
+    assert jumped.rough == 0 and "NOT" not in repr(jumped)
     error = np.abs(jumped.depth[-1] - every.depth[-1]).max() / every.depth[-1].max()
     assert error < share
     assert jumped.cycles[-1] == cycles
