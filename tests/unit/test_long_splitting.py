@@ -72,8 +72,8 @@ def test_in_the_end_it_has_the_samples_of_the_balance():
     left = []
     for samples in (0, balance.basis.samples):
         splitting = Splitting(balance, samples)
-        found = settle(splitting, splitting.join(usual.forces, motion), 2e-6, LONG._replace(iterations=12000))
-        assert found.defect <= 2e-6
+        found = settle(splitting, splitting.join(usual.forces, motion), 1e-6, LONG._replace(iterations=12000))
+        assert found.defect <= 1e-6
         left.append(np.linalg.norm(balance.residual(splitting.unknowns(found.state))))
     assert left[1] < 0.1 * left[0]
 
