@@ -31,6 +31,7 @@ HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
 # Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
 # gaps that do close take less, and pairs slip before they hold a resonance.
 MOST = 1e3
+LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
 
 
 class HarmonicBalance:
@@ -205,8 +206,7 @@ class HarmonicBalance:
 
     def residual(self, unknowns: RealArray) -> RealArray:
         """Scaled weighted residual, ``(size,)``."""
-        forces, rigid, _, responses = self._respond(unknowns)
-        return self._project(forces, rigid, [r.residual for r in responses])
+        return self._respond(unknowns)[-1].copy()
 
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
         """Residual and generalised Jacobian at a point.
@@ -217,8 +217,7 @@ class HarmonicBalance:
                 that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
                 linearised one.
         """
-        forces, rigid, caused, responses = self._respond(unknowns, motion)
-        residual = self._project(forces, rigid, [response.residual for response in responses])
+        forces, rigid, caused, responses, residual = self._respond(unknowns, motion)
         step = NewtonStep(self, self.differentiate(responses), residual)
         if motion is not None:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
@@ -226,7 +225,7 @@ class HarmonicBalance:
 
     def take_whole_steps(
         self, unknowns: RealArray, most: int, tolerance: float, motion: ComplexArray | None = None
-    ) -> RealArray | None:
+    ) -> tuple[RealArray | None, int]:
         """Unknowns where Newton's method comes to without a line search, in ``most`` steps at most; None if nowhere.
 
         Args:
@@ -234,16 +233,21 @@ class HarmonicBalance:
             most: Linearisations.
             tolerance: Residual norm accepted.
             motion: At which the first step linearises the laws, as in ``linearise``.
+
+        Returns:
+            These unknowns, and the steps taken.
         """
-        for _ in range(most):
+        for taken in range(most):
+            if not np.linalg.norm(unknowns) < LOST:
+                return None, taken
             step = self.linearise(unknowns, motion)
             if motion is None and np.linalg.norm(step.residual) < tolerance:
-                return unknowns
+                return unknowns, taken
             try:
                 unknowns, motion = unknowns - step.solve(step.residual), None
             except np.linalg.LinAlgError:
-                break
-        return None
+                return None, taken
+        return None, most
 
     def differentiate(self, responses: Sequence[Response]) -> tuple[Derivative, ...]:
         """Derivatives of all laws by what is unknown, from their responses."""
@@ -257,8 +261,8 @@ class HarmonicBalance:
 
     def _respond(
         self, unknowns: RealArray, motion: ComplexArray | None = None
-    ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response]]:
-        """Forces, rigid coordinates, the motion that they cause, and the laws' responses to it or to another motion.
+    ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response], RealArray]:
+        """Forces, rigid coordinates, the motion that they cause, responses of the laws to it or another, and residual.
 
         The last point is remembered: a Newton step starts where the line search before it ended.
         """
@@ -271,7 +275,7 @@ class HarmonicBalance:
         if self._last is None:  # a law that answers well once does so always
             for law, response in zip(self.system.laws, responses, strict=True):
                 check_response(law, response, (self.basis.samples, law.pairs.size))
-        answer = forces, rigid, caused, responses
+        answer = forces, rigid, caused, responses, self._project(forces, rigid, [r.residual for r in responses])
         if motion is None:
             self._last = unknowns.copy(), answer
         return answer

@@ -206,27 +206,40 @@ def _gather(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Steady rows of J at a batch of harmonics, ``(b, c, m)``, and of the rigid coordinates, ``(b, c, r)``."""
     H, rate = balance.compliance.flexibility[batch], balance.rate[batch]
+    flexibility, G = balance.system.flexibility, balance.rigid_motion
     mean = np.flatnonzero(np.array(balance.basis.orders[batch]) == 0)  # its place in the batch, if it is there
-    A = np.zeros((rate.size, c.size, balance.rows), dtype=complex)
-    toward_rigid = np.zeros((rate.size, c.size, balance.rigid), dtype=complex)
     place, diagonal = np.full(balance.rows, -1), np.arange(c.size)
     place[c] = diagonal
+    own = np.zeros((rate.size, c.size), dtype=complex)  # by the rows' own motions: one product for all laws
+    forces, crossing = [], []
     for d in derivatives:
         pick = np.flatnonzero(place[d.rows] >= 0)
         at, columns = place[d.rows[pick]], d.columns[pick]
         value = np.outer(rate**d.rates, d.constant[pick])
         if d.by_force:
-            A[:, at, columns] += value
+            forces.append((at, columns, value))
             continue
         if d.blind_to_mean:
             value[mean] = 0.0
+        alone = columns == c[at]
+        own[:, at[alone]] += value[:, alone]
+        if not np.all(alone):
+            crossing.append((at[~alone], columns[~alone], value[:, ~alone]))
+    A = np.take(H, c, axis=1)
+    A *= own[:, :, None]
+    A[:, diagonal, c] += own * REDUNDANCY * flexibility[c]
+    toward_rigid = np.zeros((rate.size, c.size, balance.rigid), dtype=complex)
+    toward_rigid[mean] = own[mean][:, :, None] * G[c]
+    for at, columns, value in crossing:
         A[:, at] += value[:, :, None] * np.take(H, columns, axis=1)
-        A[:, at, columns] += value * REDUNDANCY * balance.system.flexibility[columns]
-        toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * balance.rigid_motion[columns]
+        A[:, at, columns] += value * REDUNDANCY * flexibility[columns]
+        toward_rigid[np.ix_(mean, at)] += value[mean][:, :, None] * G[columns]
+    for at, columns, value in forces:
+        A[:, at, columns] += value
     weight, springs = balance.static_row[c], balance.static_displacement_row[c]
     A[mean] = weight[:, None] * A[mean] + springs[:, None] * H[mean][:, c]
-    A[mean[:, None], diagonal, c] += balance.static_force_row[c] + springs * REDUNDANCY * balance.system.flexibility[c]
-    toward_rigid[mean] = weight[:, None] * toward_rigid[mean] + springs[:, None] * balance.rigid_motion[c]
+    A[mean[:, None], diagonal, c] += balance.static_force_row[c] + springs * REDUNDANCY * flexibility[c]
+    toward_rigid[mean] = weight[:, None] * toward_rigid[mean] + springs[:, None] * G[c]
     if shift is not None:
         A[:, diagonal, c] += shift[batch][:, c]
     return A, toward_rigid

@@ -5,12 +5,13 @@ are all the Newton steps that the way took:
 
 1. ``start_from_splitting``: Newton from where operator splitting ends.
 2. ``climb``: growing sets of harmonics, each started at the one before.
-3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
-5. ``trace_load``: the oscillating load from a small share to the whole, past folds.
+3. ``step_over_corners``: whole Newton steps from a corner next to a solution.
+4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+6. ``trace_load``: the oscillating load from a small share to the whole, past folds.
 
-``start_cold`` is the first, or else the second. ``climb`` takes 3. and 5. along: through more sets of harmonics, with
-both on any set where Newton stalls.
+``start_cold`` is the first, or else the second, through more sets of harmonics where few end next to a solution.
+``climb`` takes 3., 4. and 6. along: through more sets of harmonics, with these on any set where Newton stalls.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ from ewr_fenicsx.warm_starts import try_starts
 COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
 COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
+FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
+# Residuals at a corner from which whole steps may lead on (less is rounding), and how many: fewer do, or none
+CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
@@ -67,14 +71,22 @@ def start_cold(
 ) -> Attempt:
     """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
 
-    ``limit``: Newton steps allowed on the last of these sets.
+    Where that ends next to a solution, through more sets of harmonics, stepping over corners.
+
+    ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried.
     """
     split = start_from_splitting(balance, tolerance, linear_solver)
     if split.converged or split.walks:
         return split
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
     better = climbed if climbed.converged else min(climbed, split)
-    return replace(better, iterations=split.iterations + climbed.iterations)
+    better = replace(better, iterations=split.iterations + climbed.iterations)
+    if better.converged or better.walks or limit is not None or not is_cornered(better):
+        return better
+    rungs = (step_over_corners,)
+    fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, coarse_tolerance=FINE_TOLERANCE)
+    closer = fine if fine.converged else min(fine, better)
+    return replace(closer, iterations=better.iterations + fine.iterations)
 
 
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
@@ -106,7 +118,7 @@ def climb(
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
-    are any and the set is small enough for them.
+    are any.
     """
     below, attempt, steps, held = None, None, 0, None
     for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
@@ -120,13 +132,36 @@ def climb(
             if split is not None:
                 attempt = replace(min(attempt, split), iterations=attempt.iterations + split.iterations)
         for rung in rungs:
-            if not attempt.converged and level.size <= LARGEST_TRACED and steps + attempt.iterations < MOST_STEPS:
+            if not attempt.converged and steps + attempt.iterations < MOST_STEPS:
                 attempt = rung(level, goal, attempt)
         steps += attempt.iterations
         below, held = level, orders[-1] if attempt.converged else held
     if not attempt.converged and held:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
     return replace(attempt, iterations=steps)
+
+
+def is_cornered(failed: Attempt) -> bool:
+    """Whether an attempt may have stalled at a corner next to a solution."""
+    return CORNERED[0] < failed.residual < CORNERED[1]
+
+
+def step_over_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Newton's method without a line search, from a corner at which it stalled next to a solution.
+
+    The mean friction of a pair that sticks throughout may be far off and leave next to no residual. The step that mends
+    it lets the pair slip: the residual rises by orders of magnitude before it falls, and no line search takes it.
+
+    Returns:
+        The solution, or the ``failed`` attempt; the steps of both counted.
+    """
+    if not is_cornered(failed):
+        return failed
+    unknowns, steps = balance.take_whole_steps(failed.unknowns, WHOLE_STEPS, tolerance)
+    if unknowns is None:
+        return replace(failed, iterations=failed.iterations + steps)
+    found = run_newton(balance, unknowns, tolerance, "elimination", near=True)  # looks whether it walks
+    return replace(found, iterations=failed.iterations + steps + found.iterations)
 
 
 def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
@@ -138,6 +173,8 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
     Returns:
         The solution, or the better of what was found last and the ``failed`` attempt; the steps of both counted.
     """
+    if balance.size > LARGEST_TRACED:
+        return failed
     unit = balance.force_unit / np.sqrt(balance.rows)
 
     def at(logarithm: float) -> HarmonicBalance:
@@ -225,6 +262,8 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
     Returns:
         The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
     """
+    if balance.size > LARGEST_TRACED:
+        return failed
     compliance = balance.compliance
     oscillates = np.array(balance.basis.orders) > 0
 

@@ -27,6 +27,7 @@ from ewr_fenicsx.ladder import (
     climb,
     sharpen_corners,
     start_cold,
+    step_over_corners,
     trace_damping,
     trace_load,
 )
@@ -54,6 +55,9 @@ GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
+MEAN_SHARE = (
+    1e-3  # error of the mean friction of a pair that sticks throughout, over all forces: next to nothing tells it
+)
 
 
 def solve(
@@ -184,7 +188,7 @@ def list_rungs(
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     if problem.frequency and balance.size <= LARGEST_DAMPED:
         yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
-    rungs = (sharpen_corners, trace_load)
+    rungs = (step_over_corners, sharpen_corners, trace_load)
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
@@ -282,8 +286,8 @@ def attend_to_faint_forces(
 ) -> Attempt:
     """What was found, or closer where its residual is small beside all forces, but not beside those of some row.
 
-    As at a lightly loaded joint beside a large preload, which may be left as it was guessed; or where weak springs hold
-    a pair in place.
+    As at a lightly loaded joint beside a large preload, which may be left as it was guessed; or where only weak
+    springs, or a small share of itself, decide the mean force of a pair that sticks throughout.
     """
     if not found.converged or found.usual:  # what holds with other weights is closer already
         return found
@@ -295,6 +299,11 @@ def attend_to_faint_forces(
         springs = balance.static_displacement_row * balance.system.flexibility
         least = HELD_SHARE * springs * np.maximum(np.linalg.norm(own, axis=0), FAINT)
         missed.append(least[balance.held & (np.abs(left[0]) > least)])
+    if mean:
+        least = MEAN_SHARE * balance.static_row * balance.static_force_row
+        loose = (least > 0) & (np.abs(left[0]) > least)
+        if np.any(loose):
+            missed.append(least[loose & balance.linearise(found.unknowns).steady])
     goals = np.concatenate(missed)
     if not goals.size:
         return found

@@ -122,7 +122,8 @@ class NewtonStep:
         b = np.zeros(size + balance.rigid)
         block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
-        block[pair, order, order, pair] = shift * self.shift_weight[basis.slot][:, mixed].T
+        if shift:
+            block[pair, order, order, pair] = shift * self.shift_weight[basis.slot][:, mixed].T
         if basis.has_mean:
             block[pair[:, 0], 0, 0, pair[:, 0]] += balance.static_force_row[mixed]
         known = load[:, mixed].T.copy()
@@ -171,7 +172,8 @@ class Factorisation:
         balance = step.balance
         self.step = step
         load = balance.place(right_side)
-        self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, shift * step.shift_weight)
+        added = shift * step.shift_weight if shift else None
+        self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, added)
         matrix, b = step._assemble(self.elimination, load, shift, precision)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
         unknown = balance.unknown[:, self.elimination.mixed]

@@ -20,7 +20,7 @@ LinearSolver = Literal["elimination", "dense"]
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 150  # -ewr_snes_max_it
-TAKE_OVER = 1e-7  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
+TAKE_OVER = 1e-6  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 SMALLEST_DAMPING = 1e-6  # of a Newton step
 # Between these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink

@@ -130,6 +130,26 @@ def test_a_case_that_takes_too_long_is_given_up():
     assert HarmonicBalance.linearise.__name__ == "linearise"  # the counter is gone
 
 
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"),
+        ("dovetail", 1.0, ("reached", 3.0), 1.5, 9, 1e-4, "half open"),
+        ("blade root", 1.05, ("reached", 1.0), 1.5, 5, 1e-3, "closed"),
+        pytest.param(("blade root", 1.05, ("reached", 1.0), 1.5, 15, 1e-3, "closed"), marks=pytest.mark.slow),
+    ],
+    ids=lambda case: f"{case[0]}-{case[4]}",
+)
+def test_a_cold_start_steps_over_corners_next_to_a_solution(monkeypatch, case):
+    """Near resonances with much friction the whole ladder took 200 to 300 steps, and found nothing with 40 pairs."""
+    problem = hard_cases.pose_case(hard_cases.Case(*case, (1, 1)))
+    solution = solve(problem, fallbacks=False)
+    assert hard_cases.judge(solution)[0] == "converged" and solution.iterations < 150
+    monkeypatch.setattr(ladder, "is_cornered", lambda _: False)
+    without = solve(problem, fallbacks=False, raise_on_failure=False)
+    assert not without.converged and 1e-10 < without.residual < 5e-3
+
+
 @pytest.mark.parametrize("rho", [(1e3, 1e3), (1e-3, 1e-3), (1.0, 1e-3)])
 def test_weights_far_off_are_approached_from_the_defaults(rho):
     """Gross lift-off, which no way by itself finds with such weights; the answer is the asked problem's own."""

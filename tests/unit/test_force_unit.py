@@ -10,7 +10,9 @@ from scipy.linalg import block_diag
 from small_models import lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.following import solve_from
+from ewr_fenicsx.mean_friction import MEAN_FRICTION_REGULARISATION
 
 
 @pytest.mark.parametrize("gap", [1e-3, 10.0, 1e5])
@@ -71,3 +73,19 @@ def test_a_large_preload_takes_no_digits_from_a_lightly_loaded_joint_beside_it(p
     for found in (beside, followed):
         off = np.linalg.norm(found.output("light")[1:] - alone.output("tip")[1:])
         assert off < 1e-3 * np.linalg.norm(alone.output("tip")[1:])
+
+
+def test_next_to_nothing_decides_the_mean_friction_of_a_pair_that_sticks_and_still_it_is_solved_for():
+    """A twentieth of all forces is within the tolerance there: such a start was returned as it was."""
+    problem = ContactProblem(lift_off_oscillator(excitation=0.6, damping=0.1), ContactLaws(friction=0.9), 0.08, 5)
+    solution = solve(problem)
+    balance, rubs = HarmonicBalance(problem.system), problem.system.index["tangential"][0]
+    left = np.zeros((balance.basis.coefficients, balance.rows))
+    left[0, rubs] = 0.05 * MEAN_FRICTION_REGULARISATION
+    unknowns = balance.pack(solution.forces, solution.rigid)
+    off = unknowns + balance.linearise(unknowns).solve(left[balance.unknown])
+    assert np.linalg.norm(balance.residual(off)) < 1e-8
+    forces, rigid = balance.unpack(off)
+    assert abs(forces[0, rubs] - solution.forces[0, rubs]) > 0.04 * np.linalg.norm(solution.forces)
+    found = solve(problem, replace(solution, forces=forces, rigid=rigid), fallbacks=False)
+    np.testing.assert_allclose(found.forces, solution.forces, atol=1e-6 * np.linalg.norm(solution.forces))
