@@ -55,9 +55,7 @@ GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
-MEAN_SHARE = (
-    1e-3  # error of the mean friction of a pair that sticks throughout, over all forces: next to nothing tells it
-)
+MEAN_SHARE = 1e-3  # error of the mean friction of a pair that sticks throughout, over all forces: little tells of it
 
 
 def solve(
