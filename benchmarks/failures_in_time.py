@@ -1,6 +1,6 @@
 """Do the cases that found no solution have a periodic motion at all?
 
-    .venv/bin/python benchmarks/hard_cases.py --cases 108 --seed 20290 --cap 300
+    .venv/bin/python benchmarks/hard_cases.py --cases 108 --seed 41000 --cap 300
     .venv/bin/python benchmarks/failures_in_time.py      reads its JSON; a few minutes
 
 Each failure of `hard_cases.py` is stepped in time from the full-stick motion, at two step sizes. A motion that still
