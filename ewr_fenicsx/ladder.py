@@ -38,8 +38,7 @@ from ewr_fenicsx.warm_starts import try_starts
 COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
 COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
-# Where sets are many: a corner far from any solution may leave less than the coarse tolerance; steps on the last set.
-FINE_TOLERANCE, FINE_STEPS = 1e-5, 25
+FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
 # Residuals at a corner from which whole steps may lead on (less is rounding), and how many: fewer do, or none
 CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
@@ -85,7 +84,7 @@ def start_cold(
     if better.converged or better.walks or limit is not None or not is_cornered(better):
         return better
     rungs = (step_over_corners,)
-    fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, FINE_TOLERANCE, FINE_STEPS)
+    fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, FINE_TOLERANCE, COARSE_STEPS)
     closer = fine if fine.converged else min(fine, better)
     return replace(closer, iterations=better.iterations + fine.iterations)
 

@@ -62,16 +62,19 @@ class NewtonStep:
             weight[0] *= (balance.static_force_row == 0) & (balance.static_displacement_row == 0)
         return weight
 
+    def spread(self, shift: float) -> RealArray | None:
+        """``(n_h, m)`` what a diagonal shift adds to each row; None where there is none."""
+        return shift * self.shift_weight if shift else None
+
     def multiply(self, direction: RealArray, shift: float = 0.0) -> RealArray:
         """``(J + shift) v`` without forming J, ``(size,)``."""
         balance = self.balance
         forces, rigid = balance.unpack(direction)
         motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
         product = self.change(forces, motion, rigid)
-        if shift:
+        if (added := self.spread(shift)) is not None:
             moved = balance.size - balance.rigid
-            weight = self.shift_weight[balance.basis.slot][balance.unknown]
-            product[:moved] += shift * weight * direction[:moved]
+            product[:moved] += added[balance.basis.slot][balance.unknown] * direction[:moved]
         return product
 
     def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
@@ -91,8 +94,9 @@ class NewtonStep:
     def matrix(self, shift: float = 0.0) -> RealArray:
         """The whole Jacobian, ``(size, size)``, with ``shift`` added on its diagonal, but for mean friction."""
         load = np.zeros(self.balance.unknown.shape)
-        nothing = Elimination.of(self.balance, self.derivatives, np.zeros(self.balance.rows, dtype=bool), load)
-        matrix, _ = self._assemble(nothing, load, shift)
+        none = np.zeros(self.balance.rows, dtype=bool)
+        nothing = Elimination.of(self.balance, self.derivatives, none, load, self.spread(shift))
+        matrix, _ = self._assemble(nothing, load)
         unknown = self.balance.unknown
         rigid = np.arange(unknown.size, matrix.shape[0])
         rows = np.arange(unknown.size).reshape(unknown.T.shape).T[unknown]
@@ -107,7 +111,7 @@ class NewtonStep:
         return Factorisation(self, right_side, shift).solution
 
     def _assemble(
-        self, elimination: Elimination, load: RealArray, shift: float, precision: type = np.float64
+        self, elimination: Elimination, load: RealArray, precision: type = np.float64
     ) -> tuple[RealArray, RealArray]:
         """Matrix and right side of the mixed rows and the rigid balance.
 
@@ -122,8 +126,8 @@ class NewtonStep:
         b = np.zeros(size + balance.rigid)
         block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
-        if shift:
-            block[pair, order, order, pair] = shift * self.shift_weight[basis.slot][:, mixed].T
+        if elimination.shift is not None:
+            block[pair, order, order, pair] = elimination.shift[basis.slot][:, mixed].T
         if basis.has_mean:
             block[pair[:, 0], 0, 0, pair[:, 0]] += balance.static_force_row[mixed]
         known = load[:, mixed].T.copy()
@@ -172,9 +176,8 @@ class Factorisation:
         balance = step.balance
         self.step = step
         load = balance.place(right_side)
-        added = shift * step.shift_weight if shift else None
-        self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, added)
-        matrix, b = step._assemble(self.elimination, load, shift, precision)
+        self.elimination = Elimination.of(balance, step.derivatives, step.steady, load, step.spread(shift))
+        matrix, b = step._assemble(self.elimination, load, precision)
         b[b.size - balance.rigid :] += right_side[balance.size - balance.rigid :]
         unknown = balance.unknown[:, self.elimination.mixed]
         rigid = np.ones(balance.rigid, dtype=bool)
