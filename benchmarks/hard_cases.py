@@ -29,6 +29,7 @@ from reporting import describe_machine, print_table, write_json
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import EwrError, NotConverged
+from ewr_fenicsx.newton_path import RankOneUpdates
 
 TOLERANCE = 1e-8
 DEGENERATE_CAP = 120.0  # seconds; a thousand pairs take a few of them a Newton step
@@ -82,6 +83,7 @@ class Outcome:
     ``status``: "converged", "not converged" (the solver said so), "given up" (the cap), or "wrong" (it said
     converged, or raised, where that is not so).
     ``usual``: it was answered with the default weights, since no way led from these to those asked for.
+    ``corners``: that Newton's paths passed, each a right side and no factorisation.
     """
 
     name: str
@@ -92,6 +94,7 @@ class Outcome:
     fallbacks: int
     seconds: float
     usual: bool = False
+    corners: int = 0
 
 
 class CapReached(Exception):
@@ -147,8 +150,8 @@ def pose_case(case: Case) -> ContactProblem:
 def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outcome:
     """Solve a case cold, and look at what came back."""
     begin, started = time.perf_counter(), time.process_time()
-    steps = 0
-    linearise = HarmonicBalance.linearise
+    steps, corners = 0, 0
+    linearise, add = HarmonicBalance.linearise, RankOneUpdates.add
 
     def count(self, unknowns, *motion):
         nonlocal steps
@@ -157,10 +160,15 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
             raise CapReached
         return linearise(self, unknowns, *motion)
 
+    def count_corner(self, u, w):
+        nonlocal corners
+        corners += 1
+        return add(self, u, w)
+
     tell = lambda status, reason, residual=np.nan, fallbacks=0: Outcome(  # noqa: E731
-        name, status, reason, residual, steps, fallbacks, time.perf_counter() - begin
+        name, status, reason, residual, steps, fallbacks, time.perf_counter() - begin, corners=corners
     )
-    HarmonicBalance.linearise = count
+    HarmonicBalance.linearise, RankOneUpdates.add = count, count_corner
     try:
         problem = pose()
         begin, started = time.perf_counter(), time.process_time()
@@ -181,7 +189,7 @@ def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outco
     except EwrError as error:  # nothing here may be refused: all bodies are held
         return tell("wrong", f"{type(error).__name__}: {error}")
     finally:
-        HarmonicBalance.linearise = linearise
+        HarmonicBalance.linearise, RankOneUpdates.add = linearise, add
     seconds = time.perf_counter() - begin
     outcome = judge(solution)
     told = tell(*outcome, fallbacks=len(solution.fallbacks))
@@ -223,7 +231,8 @@ def run_all(task: Callable, arguments: Sequence, jobs: int) -> Iterator[Outcome]
 
 
 def count_up(outcomes: Sequence[Outcome]) -> list[object]:
-    """Cases, converged, its share, Newton steps (mean, median, max of those converged), fallbacks, seconds.
+    """Cases, converged, its share, Newton steps (mean, median, max) and corners of those converged, fallbacks,
+    seconds.
 
     Of the fallbacks, those answered with the default weights in place of the asked ones are counted by themselves.
     """
@@ -237,6 +246,7 @@ def count_up(outcomes: Sequence[Outcome]) -> list[object]:
         float(mean(steps)),
         float(median(steps)),
         max(steps),
+        float(mean([o.corners for o in solved] or [0])),
         sum(o.fallbacks > 0 for o in outcomes),
         sum(o.usual for o in solved),
         float(mean(times)),
@@ -244,7 +254,7 @@ def count_up(outcomes: Sequence[Outcome]) -> list[object]:
     ]
 
 
-HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "with fallbacks"]
+HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "mean corners", "with fallbacks"]
 HEADER += ["default weights", "mean s", "max s"]
 
 

@@ -7,6 +7,7 @@ Source: the equality-based form of the projections of Alart & Curnier (1991), do
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -107,6 +108,7 @@ class Coulomb(FrictionLaw):
     static_force_row: float | RealArray
     static_displacement_row: float | RealArray = 0.0
     direction: str = "tangential"
+    has_corners = True
 
     @property
     def impedance(self) -> RealArray:
@@ -115,16 +117,22 @@ class Coulomb(FrictionLaw):
     def evaluate(self, motion: Motion) -> Response:
         force, normal, limit = motion.force["tangential"], motion.force["normal"], self.limit(motion.force)
         trial = force - motion.velocity["tangential"] / self.rho
-        forward, backward = trial >= limit, trial <= -limit
-        slips = forward | backward
-        cone = np.where(slips & (normal > 0), np.where(forward, -self.friction, self.friction), 0.0)
-        return Response(
-            force - project_on_cone(trial, limit),
-            (
-                Partial("force", "tangential", np.where(slips, 1.0, 0.0)),
-                Partial("velocity", "tangential", np.where(slips, 0.0, 1 / self.rho)),
-                Partial("force", "normal", cone),
-            ),
+        sides = normal > 0, trial >= limit, trial > -limit
+        return Response(force - project_on_cone(trial, limit), self.differentiate(sides))
+
+    def find_corners(self, motion: Motion) -> tuple[RealArray, ...]:
+        normal = motion.force["normal"]
+        trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
+        return normal, trial - self.friction * normal, trial + self.friction * normal
+
+    def differentiate(self, sides: Sequence[np.ndarray]) -> tuple[Partial, ...]:
+        pressed, forward, ahead_of_backward = sides
+        sticks = pressed & ~forward & ahead_of_backward
+        cone = np.where(forward, -self.friction, self.friction)
+        return (
+            Partial("force", "tangential", np.where(sticks, 0.0, 1.0)),
+            Partial("velocity", "tangential", np.where(sticks, 1 / self.rho, 0.0)),
+            Partial("force", "normal", np.where(pressed & ~sticks, cone, 0.0)),
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:

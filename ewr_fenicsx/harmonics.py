@@ -51,14 +51,16 @@ class FourierBasis:
         return np.concatenate([[True] if h == 0 else [True, False] for h in self.orders])
 
     @cached_property
-    def _synthesis(self) -> RealArray:
+    def synthesis(self) -> RealArray:
+        """``(n_t, n_c)`` samples of a signal by its coefficients."""
         phase = 2 * np.pi * np.outer(np.arange(self.samples), self.orders) / self.samples
         return np.where(self.is_real_part, np.cos(phase)[:, self.slot], -np.sin(phase)[:, self.slot])
 
     @cached_property
-    def _analysis(self) -> RealArray:
+    def analysis(self) -> RealArray:
+        """``(n_c, n_t)`` coefficients of a signal by its samples."""
         weight = np.where(np.array(self.orders)[self.slot] == 0, 1.0, 2.0) / self.samples
-        return np.ascontiguousarray((self._synthesis * weight).T)
+        return np.ascontiguousarray((self.synthesis * weight).T)
 
     def to_coefficients(self, amplitudes: ComplexArray) -> RealArray:
         """``(n_h, ...)`` complex amplitudes as ``(n_c, ...)`` real coefficients."""
@@ -74,11 +76,11 @@ class FourierBasis:
 
     def synthesise(self, amplitudes: ComplexArray) -> RealArray:
         """Samples ``(n_t, m)`` over one period of signals with amplitudes ``(n_h, m)``."""
-        return self._synthesis @ self.to_coefficients(amplitudes)
+        return self.synthesis @ self.to_coefficients(amplitudes)
 
     def project(self, samples: RealArray) -> RealArray:
         """Real coefficients ``(n_c, m)`` of signals sampled over one period, ``(n_t, m)``."""
-        return self._analysis @ samples
+        return self.analysis @ samples
 
     def multiplication(self, weights: RealArray) -> RealArray:
         """Matrices of "multiply by a weight in time, then project", from the weights' Fourier coefficients.
@@ -127,7 +129,7 @@ class FourierBasis:
         taken = since[first, column]
         column, first, last, taken = (part[taken >= 0] for part in (column, first, last, taken))
         held = self._running_analysis[last] - self._running_analysis[first]
-        read = self._synthesis[taken] * weights[taken, column][:, None]
+        read = self.synthesis[taken] * weights[taken, column][:, None]
         count = np.bincount(column, minlength=since.shape[1])
         place = np.arange(column.size) - np.repeat(np.cumsum(count) - count, count)
         stretches = np.zeros((2, since.shape[1], count.max(initial=0), self.coefficients))
@@ -147,7 +149,7 @@ class FourierBasis:
         Returns:
             ``(m, n_c, n_c)`` real matrices on real coefficients.
         """
-        gathered, share, reach = weights.T[:, :, None] * self._synthesis, kept.T[:, :, None].copy(), 1
+        gathered, share, reach = weights.T[:, :, None] * self.synthesis, kept.T[:, :, None].copy(), 1
         while reach < self.samples:  # by all samples of the period up to each
             gathered[:, reach:] += share[:, reach:] * gathered[:, :-reach]
             share[:, reach:] = share[:, reach:] * share[:, :-reach]
@@ -158,12 +160,12 @@ class FourierBasis:
         change = (
             gathered - np.roll(gathered, 1, axis=1) + 2 * np.pi / self.samples * gathered.mean(axis=1, keepdims=True)
         )
-        return self._analysis @ change
+        return self.analysis @ change
 
     @cached_property
     def _running_analysis(self) -> RealArray:
         """Sums of the rows of the analysis up to each sample, ``(n_t + 1, n_c)``."""
-        return np.vstack([np.zeros(self.coefficients), np.cumsum(self._analysis.T, axis=0)])
+        return np.vstack([np.zeros(self.coefficients), np.cumsum(self.analysis.T, axis=0)])
 
     def differentiate_columns(self, matrices: RealArray, omega: float) -> RealArray:
         """Matrices ``(..., n_c)`` that act on velocities, as matrices that act on displacements."""

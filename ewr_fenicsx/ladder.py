@@ -10,6 +10,7 @@ are all the Newton steps that the way took:
 5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 6. ``trace_load``: the oscillating load from a small share to the whole, past folds.
 
+Where Newton's method stalls next to a solution, ``newton_path.py`` goes on over corners.
 ``start_cold`` is the first, or else the second, through more sets of harmonics where few end next to a solution.
 ``climb`` takes 3., 4. and 6. along: through more sets of harmonics, with these on any set where Newton stalls.
 """
@@ -28,14 +29,16 @@ from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
 from ewr_fenicsx.long_splitting import split_at_length
+from ewr_fenicsx.newton_path import can_follow, run_and_follow
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.splitting import Splitting, can_split
-from ewr_fenicsx.warm_starts import try_starts
+from ewr_fenicsx.warm_starts import WARM_STEPS, try_starts
 
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
 COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
+LAST_STEPS = 40  # Newton steps of the last set, after which its path is tried
 COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
@@ -103,7 +106,7 @@ def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solv
     if none.residual <= tolerance or not can_split(balance):
         return none
     starts = ((unknowns, True, 0) for unknowns in come_near_through_sets(balance, Splitting.begin))
-    return try_starts(balance, starts, tolerance, linear_solver, SPLIT_STEPS) or none
+    return try_starts(balance, starts, tolerance, linear_solver, SPLIT_STEPS, run_and_follow) or none
 
 
 def climb(
@@ -125,8 +128,10 @@ def climb(
         last = orders == balance.basis.orders
         level = balance if last else restrict(balance, orders)
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
-        goal, most = (tolerance, limit) if last else (coarse_tolerance, COARSE_STEPS)
-        attempt = run_newton(level, level.pack(*guess), goal, linear_solver, most, near=below is not None)
+        run, goal, most = run_newton, coarse_tolerance, COARSE_STEPS
+        if last:
+            run, goal, most = run_and_follow, tolerance, limit or (LAST_STEPS if can_follow(level) else None)
+        attempt = run(level, level.pack(*guess), goal, linear_solver, most, near=below is not None)
         if rungs and below is not None and not attempt.converged:
             split = split_at_length(level, guess[0], level.compliance.motion(*guess), goal, linear_solver)
             if split is not None:
@@ -311,7 +316,7 @@ def follow(
             continue
         share = (1.0 - here.parameter) / (point.parameter - here.parameter)
         guess = here.unknowns + share * (point.unknowns - here.unknowns)
-        attempt = run_newton(goal, guess, tolerance, "elimination")
+        attempt = run_and_follow(goal, guess, tolerance, "elimination", WARM_STEPS)
         steps += attempt.iterations
         looks += 1
         if attempt.converged or looks > SECOND_LOOKS:

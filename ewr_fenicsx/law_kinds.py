@@ -9,7 +9,7 @@ and register the kind (docs/adding_a_law.md).
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -104,6 +104,8 @@ class Law(Protocol):
             (``splitting.py``); "": it is none.
         impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none, and the start is
             less near.
+        has_corners: Whether the residual is linear in what the law sees but for corners, which ``find_corners`` and
+            ``differentiate`` tell. Hard cases then find their way where Newton's method stalls (``newton_path.py``).
 
     A law with a weight from ``PairGroup.weight`` has it, ``(K,)``, in a field ``rho``, without a default here that
     would get in the way of other fields: by it costs and errors are estimated, and weights far off are approached.
@@ -120,9 +122,18 @@ class Law(Protocol):
     closes: str = ""
     opposes: str = ""
     impedance: RealArray | None = None
+    has_corners: bool = False
 
     def evaluate(self, motion: Motion) -> Response:
         """Residual and generalised derivatives at every sample."""
+        raise NotImplementedError
+
+    def find_corners(self, motion: Motion) -> Sequence[RealArray]:
+        """Functions ``(n_t, K)``, linear in what the law sees, between whose zeros its residual is linear."""
+        raise NotImplementedError
+
+    def differentiate(self, sides: Sequence[np.ndarray]) -> tuple[Partial, ...]:
+        """Derivatives where these functions are positive or not, ``(n_t, K)`` bool each; also at some samples only."""
         raise NotImplementedError
 
     def admit(self, trial: Mapping[str, RealArray]) -> RealArray:

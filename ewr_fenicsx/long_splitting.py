@@ -8,24 +8,25 @@ what the two have in common is the solution.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.newton_path import RANK, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver
 from ewr_fenicsx.splitting import NEAR_ENOUGH, Effort, Split, Splitting, are_projections, resample, settle
-from ewr_fenicsx.warm_starts import Start, try_starts
 
 LONG = Effort(iterations=4000, patience=1500, window=40)
 WORK = 12 * 10**7  # iterations at most, times the entries of a state
 SOFTNESSES = (1.0, 0.1)  # of the splittings, in turn: one may lead where another stalls
 # Defects at which Newton's method is tried: at the samples of a splitting, then at those of the balance.
 COARSE_GOAL, FINE_GOALS = 1e-3, (1e-4, 1e-5, 1e-6)
-# How many times apart residual and defect may be for Newton's method to be tried before the last goal: further, where
-# weights are far off, it creeps. And the defect from which it hardly ever arrives.
+# How many times apart residual and defect may be for a start to be tried before the last goal: further, where weights
+# are far off, nothing arrives. And the defect from which it hardly ever does.
 APART, HOPELESS = 10.0, 0.5
-NEWTON_STEPS, MOST_STEPS = 25, 75  # a run, and after which no other is begun: those that arrive take fewer
+NEWTON_STEPS, MOST_STEPS = 25, 75  # a run, and after which no other start is tried: those that arrive take fewer
 
 
 def split_at_length(
@@ -35,7 +36,7 @@ def split_at_length(
     tolerance: float,
     linear_solver: LinearSolver,
 ) -> Attempt | None:
-    """Newton from where a long splitting ends, or from ever closer to there.
+    """Newton's path, and at last Newton's method, from where a long splitting ends or from ever closer to there.
 
     Args:
         balance: The balance.
@@ -47,19 +48,38 @@ def split_at_length(
     """
     if not are_projections(balance):
         return None
-    starts = _approach(balance, forces, motion)
-    return try_starts(balance, starts, tolerance, linear_solver, NEWTON_STEPS, MOST_STEPS)
+    attempts, steps = [], 0
+    for start, last in _approach(balance, forces, motion):
+        for found in _arrive(balance, start, last, tolerance, linear_solver):
+            attempts.append(found)
+            steps += found.iterations
+            if found.converged or found.walks:
+                return replace(found, iterations=steps)
+        if steps >= MOST_STEPS:
+            break
+    return replace(min(attempts), iterations=steps) if attempts else None
 
 
-def _approach(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[Start]:
-    """Starts that are worth a Newton run, ever closer to where a splitting ends."""
+def _arrive(
+    balance: HarmonicBalance, start: RealArray, last: bool, tolerance: float, linear_solver: LinearSolver
+) -> Iterator[Attempt]:
+    """Attempts from a start: a short path while closer ones follow; from the last a long one, and a run of Newton."""
+    path = follow_path(balance, start, tolerance, limit_corners(balance) if last else RANK)
+    if path is not None:
+        yield path
+    if path is None or last:
+        yield run_and_follow(balance, start, tolerance, linear_solver, NEWTON_STEPS, near=True)
+
+
+def _approach(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[tuple[RealArray, bool]]:
+    """Starts that are worth a Newton run, ever closer to where a splitting ends, and whether each is the last one."""
     try:
         for softness in SOFTNESSES:
             splitting = Splitting(balance, softness=softness)
             found = _settle(splitting, splitting.join(forces, motion), COARSE_GOAL)
             unknowns, near = splitting.unknowns(found.state), found.defect <= NEAR_ENOUGH * COARSE_GOAL
             if _fits(balance, unknowns, found.defect) if near else found.defect <= HOPELESS:
-                yield unknowns, True, 0
+                yield unknowns, not near
             if near:
                 break
         else:
@@ -71,7 +91,7 @@ def _approach(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArr
             state, unknowns = found.state, splitting.unknowns(found.state)
             last = goal == FINE_GOALS[-1] or found.defect > NEAR_ENOUGH * goal
             if last or _fits(balance, unknowns, found.defect):
-                yield unknowns, True, 0
+                yield unknowns, last
             if last:
                 return
     except np.linalg.LinAlgError:  # as next to a mode without damping

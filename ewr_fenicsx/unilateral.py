@@ -5,7 +5,7 @@ Source: the equality-based form of the projections of Alart & Curnier (1991), do
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +54,7 @@ class Signorini(Law):
     rho: RealArray
     direction: str = "normal"
     opposes = "displacement"
+    has_corners = True
 
     @property
     def static_target(self) -> RealArray:
@@ -70,12 +71,16 @@ class Signorini(Law):
         force = motion.force["normal"]
         pressed = self.rho * (motion.displacement["normal"] + self.initial_gap)
         closed = pressed < force
-        return Response(
-            np.where(closed, pressed, force),
-            (
-                Partial("force", "normal", np.where(closed, 0.0, 1.0)),
-                Partial("displacement", "normal", np.where(closed, self.rho, 0.0)),
-            ),
+        return Response(np.where(closed, pressed, force), self.differentiate((closed,)))
+
+    def find_corners(self, motion: Motion) -> tuple[RealArray]:
+        return (motion.force["normal"] - self.rho * (motion.displacement["normal"] + self.initial_gap),)
+
+    def differentiate(self, sides: Sequence[np.ndarray]) -> tuple[Partial, ...]:
+        (closed,) = sides
+        return (
+            Partial("force", "normal", np.where(closed, 0.0, 1.0)),
+            Partial("displacement", "normal", np.where(closed, self.rho, 0.0)),
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 
@@ -59,20 +59,20 @@ def try_starts(
     tolerance: float,
     linear_solver: LinearSolver,
     limit: int,
-    most: float = np.inf,
+    run: Callable[..., Attempt] | None = None,
 ) -> Attempt | None:
     """Newton from one start after the other until it converges; the best attempt, with the steps of all; None of none.
 
     Args:
         balance, tolerance, linear_solver, limit: As in ``run_newton``.
         starts: As ``list_starts`` makes them.
-        most: Newton steps after which no further start is tried.
+        run: What makes an attempt of a start, called like ``run_newton``, the default.
     """
-    attempts, steps = [], 0
+    attempts, steps, run = [], 0, run or run_newton
     for unknowns, near, taken in starts:
-        attempts.append(run_newton(balance, unknowns, tolerance, linear_solver, limit, near=near))
+        attempts.append(run(balance, unknowns, tolerance, linear_solver, limit, near=near))
         steps += attempts[-1].iterations + taken
-        if attempts[-1].converged or attempts[-1].walks or steps >= most:
+        if attempts[-1].converged or attempts[-1].walks:
             break
     return replace(min(attempts), iterations=steps) if attempts else None
 

@@ -19,6 +19,7 @@ from ewr_fenicsx.continuation import BalanceAt
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ladder import BEHIND, LARGEST_TRACED, follow
 from ewr_fenicsx.long_splitting import split_at_length
+from ewr_fenicsx.newton_path import RANK, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
@@ -26,7 +27,7 @@ from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
 # Shares of the way, in the logarithms of the weights, that splittings take one after the other; and how closely those
 # on the way are solved.
 STAGES, STAGE_TOLERANCE = (1 / 3, 2 / 3, 1.0), 1e-4
-DIRECT_STEPS = 12  # Newton steps from the default weights' solution as it is, before: where little slips they arrive
+DIRECT_STEPS = 8  # Newton steps from the default weights' solution as it is, before: where little slips they arrive
 WALK_STEPS = 300  # Newton steps after which a walk is given up: those that arrive take fewer
 # Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
 FAR = 30.0
@@ -86,7 +87,7 @@ def approach_weights(
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
     if joined:
-        last = run_newton(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True)
+        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=RANK)
         steps = last.iterations
         if last.converged:
             return last

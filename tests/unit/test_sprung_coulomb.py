@@ -140,13 +140,16 @@ def test_a_stuck_joint_is_the_linear_one():
 def test_springs_climb_through_fewer_and_looser_harmonics(monkeypatch):
     """Each set is started at what the one before found, and only the last is solved to the end."""
     climbed = []
-    newton = ladder.run_newton
 
-    def record(balance, unknowns, goal, *rest, **options):
-        climbed.append((balance.basis.orders[-1], goal))
-        return newton(balance, unknowns, goal, *rest, **options)
+    def record(run):
+        def recorded(balance, unknowns, goal, *rest, **options):
+            climbed.append((balance.basis.orders[-1], goal))
+            return run(balance, unknowns, goal, *rest, **options)
 
-    monkeypatch.setattr(ladder, "run_newton", record)
+        return recorded
+
+    for name in ("run_newton", "run_and_follow"):
+        monkeypatch.setattr(ladder, name, record(getattr(ladder, name)))
     monkeypatch.setattr(ladder, "can_split", lambda _: False)
     problem = ContactProblem(dovetail(excitation=300.0), ContactLaws(friction=0.2), 700.0, harmonics=15)
     tips = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import ladder, solve, weights
+from ewr_fenicsx import ladder, newton_path, solve, weights
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.continuation import BranchPoint
 from ewr_fenicsx.snes import Attempt
@@ -32,11 +32,17 @@ def indirect(monkeypatch):
     monkeypatch.setattr(weights, "DIRECT_STEPS", 0)
 
 
+@pytest.fixture
+def no_path(monkeypatch):
+    """Laws that do not tell their corners."""
+    monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
+
+
 def approach(far) -> Attempt:
     return weights.approach_weights(*far, 1e-8, "elimination")
 
 
-def test_stages_lead_where_one_splitting_does_not(far, indirect, monkeypatch):
+def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkeypatch):
     """To a solution of the asked balance; in one stage a walk has to follow, which takes several times the steps."""
     walks, walk = [], weights.walk_weights
     monkeypatch.setattr(weights, "walk_weights", lambda *given: walks.append(given[2]) or walk(*given))
@@ -71,7 +77,7 @@ def test_weights_far_off_begin_with_the_default_ones_and_say_so(factor, at_once)
     assert alone.fallbacks == (), "by itself it takes no ladder"
 
 
-def test_a_walk_that_takes_long_is_given_up(far, indirect, monkeypatch):
+def test_a_walk_that_takes_long_is_given_up(far, indirect, no_path, monkeypatch):
     monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
     monkeypatch.setattr(weights, "WALK_STEPS", 5)
     found = approach(far)

@@ -1,0 +1,247 @@
+"""Newton's path: from a start to a solution from corner to corner, where all laws are linear in between.
+
+With contact that opens and friction along a line, the balance ``r(z)`` is linear as long as no pair changes status at
+any sample. From a start ``z_0`` the path ``r(z) = (1 - s) r(z_0)`` is then a chain of straight pieces. Where a pair
+changes status at a sample, a corner, the Jacobian changes by a matrix of rank one: the next piece costs one more right
+side, no factorisation. Where that turns the sign of the determinant, s runs backwards on the next piece: a fold.
+
+Newton's method with a line search stalls where the residual has to rise before it falls; the path goes on. Next to a
+solution it has few corners, but thousands may lie between two solutions.
+
+Sources: Fujisawa & Kuh (1970), Piecewise-linear theory of nonlinear networks, memorandum ERL-M286, Berkeley;
+Ralph (1994), doi:10.1287/moor.19.2.352.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.law_derivatives import Derivative
+from ewr_fenicsx.law_kinds import Response
+from ewr_fenicsx.newton_step import Factorisation, NewtonStep
+from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
+
+RANK = 100  # corners after which the Jacobian is factored anew: by then they cost more than that
+CORNERS, WORK = 2500, 10**6  # of a path at most, and times the unknowns: some seconds
+TRIED = 500  # corners after which a path is left that is not on its way: those that arrive mostly lie evenly on theirs
+BEHIND, LOST = -1.0, 1e4  # where a path is left: its parameter, and the norm of the unknowns, which are of order one
+# Rate at which a corner is approached, over the largest one, below which it is not: rounding, as of pairs that are open
+IDLE = 1e-10
+CLOSE = 1e-3  # residual where Newton's method stalls, below which a solution is close
+
+
+def run_and_follow(
+    balance: HarmonicBalance,
+    start: RealArray,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int | None = None,
+    *,
+    near: bool = False,
+    most: int | None = None,
+) -> Attempt:
+    """Newton's method as ``run_newton``, and where it stalls next to a solution, its path from there.
+
+    ``most``: corners of that path at most; None: as many as are worth the time.
+    """
+    run = run_newton(balance, start, tolerance, linear_solver, limit, near=near)
+    if run.converged or run.walks or not run.residual < CLOSE:
+        return run
+    path = follow_path(balance, run.unknowns, tolerance, most or limit_corners(balance))
+    if path is None:
+        return run
+    better = path if path.converged or path.walks else min(path, run)
+    return replace(better, iterations=run.iterations + path.iterations)
+
+
+def follow_path(balance: HarmonicBalance, start: RealArray, tolerance: float, most: int) -> Attempt | None:
+    """Follow Newton's path from a start; each factorisation counts as a Newton step, and serves ``RANK`` corners.
+
+    Args:
+        balance: The balance.
+        start: ``(size,)`` scaled unknowns.
+        tolerance: Residual norm accepted.
+        most: Corners at most.
+
+    Returns:
+        The solution, or how far the path went; None where some law does not tell its corners.
+    """
+    if not can_follow(balance):
+        return None
+    path = _Path(balance, start)
+    why = path.follow(tolerance, most)
+    found = run_newton(balance, path.unknowns, tolerance, "elimination", 0, near=True)  # looks whether it walks
+    reason = found.reason if found.converged or found.walks else why
+    return replace(found, iterations=path.factored, reason=reason)
+
+
+def can_follow(balance: HarmonicBalance) -> bool:
+    """Whether every law tells its corners, or has none."""
+    return all(law.linear or law.has_corners for law in balance.system.laws)
+
+
+def limit_corners(balance: HarmonicBalance) -> int:
+    """How many corners of a path are worth the time that they take."""
+    return min(CORNERS, WORK // balance.size)
+
+
+class RankOneUpdates:
+    """A factored matrix J and what is added to it, ``sum u w^T``; ``RANK`` products at most."""
+
+    def __init__(self, factors: Factorisation):
+        size = factors.solution.size
+        self.factors, self.count = factors, 0
+        self.moved, self.seen = np.zeros((2, RANK, size))  # J^-1 u, and w
+        self.small = np.eye(RANK)  # 1 + W^T J^-1 U
+
+    def add(self, u: RealArray, w: RealArray) -> tuple[RealArray, float]:
+        """Add ``u w^T``; ``u`` solved for with the matrix of before, and the determinant over that of before."""
+        k, column = self.count, self.factors.solve(u)
+        self.moved[k], self.seen[k] = column, w
+        self.small[k, : k + 1] += self.moved[: k + 1] @ w
+        self.small[:k, k] = self.seen[:k] @ column
+        shares = np.linalg.solve(self.small[:k, :k], self.small[:k, k])
+        self.count += 1
+        return column - shares @ self.moved[:k], float(self.small[k, k] - self.small[k, :k] @ shares)
+
+
+class _Path:
+    """A point on Newton's path, and the side of every corner on which it lies."""
+
+    def __init__(self, balance: HarmonicBalance, start: RealArray):
+        self.balance, self.unknowns = balance, start.copy()
+        self.begin = balance.residual(start)
+        self.share, self.factored, self.crossed = 0.0, 0, 0
+        self.still = self._look(np.zeros_like(start), moves=False)
+        self.sides = [corners > 0 for corners in self._look(start)]
+
+    def follow(self, tolerance: float, most: int) -> str:
+        """Go on until the residual is small enough, or the path is left; says why it ended."""
+        sense, left = 1.0, float(np.linalg.norm(self.begin))
+        while True:
+            try:
+                step = NewtonStep(self.balance, self._differentiate(), self.begin)
+                updates = RankOneUpdates(Factorisation(step, self.begin))
+            except np.linalg.LinAlgError:
+                return "the Newton matrix is singular"
+            self.factored += 1
+            ahead, at = -sense * updates.factors.solution, self._look(self.unknowns)
+            while updates.count < RANK:
+                if not np.linalg.norm(ahead) < np.inf:
+                    return "the Newton matrix is singular"
+                rates = self._find_rates(ahead)
+                reach, number, corner = self._find_corner(at, rates)
+                arrives = sense > 0 and reach >= 1 - self.share
+                reach = 1 - self.share if arrives else reach
+                unknowns = self.unknowns + reach * ahead
+                if not np.linalg.norm(unknowns) < LOST:
+                    return "Newton's path runs to infinity"
+                self.unknowns, self.share = unknowns, self.share + sense * reach
+                for corners, rate in zip(at, rates, strict=True):
+                    corners += reach * rate
+                if arrives or abs(1 - self.share) * left <= 0.5 * tolerance:
+                    return "rounding is left at the end of Newton's path"
+                if self.share < BEHIND:
+                    return "Newton's path leads away"
+                self.crossed += 1
+                if self.crossed >= min(most, max(TRIED, CORNERS * self.share)):
+                    return f"Newton's path takes {self.share:.0%} of the residual in {self.crossed} corners"
+                change = self._cross(number, corner)
+                if change is None:
+                    continue
+                moved, ratio = updates.add(*change)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    ahead = ahead - np.divide(change[1] @ ahead, ratio) * moved
+                if ratio < 0:
+                    sense, ahead = -sense, -ahead
+
+    def _look(self, unknowns: RealArray, moves: bool = True) -> list[RealArray]:
+        """Corner functions of every law, ``(n, n_t, K)``; ``moves``: whether loads move the pairs, or forces only."""
+        balance = self.balance
+        forces, rigid = balance.unpack(unknowns)
+        motion = balance.compliance.motion(forces, rigid)
+        seen = balance.sample(forces, motion if moves else motion - balance.compliance.free_motion)
+        return [
+            np.zeros(0) if law.linear else np.array(law.find_corners(at))
+            for law, at in zip(balance.system.laws, seen, strict=True)
+        ]
+
+    def _find_rates(self, ahead: RealArray) -> list[RealArray]:
+        """How fast corner functions change along a direction."""
+        size = np.linalg.norm(ahead) or 1.0
+        moved = self._look(ahead / size, moves=False)
+        return [size * (there - here) for there, here in zip(moved, self.still, strict=True)]
+
+    def _find_corner(self, at: Sequence[RealArray], rates: Sequence[RealArray]) -> tuple[float, int, tuple[int, ...]]:
+        """How far the next corner is, the number of its law, and its place there."""
+        idle = IDLE * max(np.abs(rate).max(initial=0.0) for rate in rates)
+        nearest, number, corner = np.inf, 0, ()
+        for i, (corners, rate, side) in enumerate(zip(at, rates, self.sides, strict=True)):
+            toward = np.where(side, -rate, rate)
+            near = toward > idle
+            if not np.any(near):
+                continue
+            reach = np.full(rate.shape, np.inf)
+            np.divide(np.where(side, corners, -corners), toward, out=reach, where=near)
+            first = int(np.argmin(reach))
+            if reach.flat[first] < nearest:
+                nearest, number, corner = float(reach.flat[first]), i, np.unravel_index(first, reach.shape)
+        return max(0.0, nearest), number, corner
+
+    def _differentiate(self) -> tuple[Derivative, ...]:
+        """Derivatives of all laws on this piece."""
+        balance = self.balance
+        seen = balance.sample(*np.zeros((2, len(balance.basis.orders), balance.rows), dtype=complex))
+        return balance.differentiate(
+            [
+                law.evaluate(at) if law.linear else Response(np.zeros(0), law.differentiate(sides))
+                for law, at, sides in zip(balance.system.laws, seen, self.sides, strict=True)
+            ]
+        )
+
+    def _cross(self, number: int, corner: tuple[int, ...]) -> tuple[RealArray, RealArray] | None:
+        """Go to the other side; the change of the Jacobian as ``u`` and ``w``, ``(size,)``; None: there is none."""
+        balance, (_, sample, pair) = self.balance, corner
+        law, row = balance.system.laws[number], balance.law_rows[number][pair]
+        sides = self.sides[number][:, sample : sample + 1]
+        before = law.differentiate(sides)
+        self.sides[number][corner] ^= True
+        by_forces, by_rigid, changes = np.zeros(balance.unknown.shape), np.zeros(balance.rigid), False
+        for old, new in zip(before, law.differentiate(sides), strict=True):
+            column = balance.system.row_of(new.direction, law.pairs[pair : pair + 1])
+            value = new.values[:1, pair] - old.values[:1, pair]
+            if value != 0 and column[0] >= 0:  # else it is given, not unknown
+                forces, rigid = self._read(sample, Derivative(np.array([row]), column, new.variable, value[:, None]))
+                by_forces, by_rigid, changes = by_forces + forces, by_rigid + rigid, True
+        if not changes:
+            return None
+        moved = np.zeros(balance.unknown.shape)
+        moved[:, row] = balance.basis.analysis[:, sample]
+        if balance.basis.has_mean:
+            moved[0, row] *= balance.static_row[row]
+        return (
+            np.concatenate([moved[balance.unknown], np.zeros(balance.rigid)]),
+            np.concatenate([by_forces[balance.unknown], by_rigid]),
+        )
+
+    def _read(self, sample: int, d: Derivative) -> tuple[RealArray, RealArray]:
+        """A derivative times its variable at a sample, by all forces ``(n_c, m)`` and rigid coordinates ``(r,)``."""
+        balance, basis, column, value = self.balance, self.balance.basis, d.columns[0], d.values[0, 0]
+        factor = value * np.exp(2j * np.pi * sample / basis.samples * np.array(basis.orders)) * balance.rate**d.rates
+        amplitudes: ComplexArray = np.zeros((factor.size, balance.rows), dtype=complex)
+        if d.by_force:
+            amplitudes[:, column] = factor
+        else:
+            amplitudes += factor[:, None] * balance.compliance.flexibility[:, column]
+        rigid = np.zeros(balance.rigid)
+        if d.blind_to_mean and basis.has_mean:
+            amplitudes[0] = 0.0
+        elif not d.by_force:
+            rigid = value * balance.rigid_motion[column]
+        picked = amplitudes[basis.slot]
+        return np.where(basis.is_real_part[:, None], picked.real, -picked.imag), rigid

@@ -1,0 +1,219 @@
+"""Newton's path: corners crossed one by one, folds among them, to a solution of the balance."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_models import dovetail
+
+from ewr_fenicsx import ContactLaws, ContactProblem, newton_path, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.law_kinds import Motion
+from ewr_fenicsx.newton_path import RANK, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
+from ewr_fenicsx.newton_step import Factorisation
+from ewr_fenicsx.snes import run_newton
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+import hard_cases
+
+LAWS = {
+    "contact": ContactLaws(tangential="frictionless"),
+    "both": ContactLaws(friction=0.3),
+    "friction": ContactLaws(normal="bonded", friction=0.3),
+}
+
+
+def pose(laws: ContactLaws, **options) -> ContactProblem:
+    return ContactProblem(dovetail(excitation=150.0), laws, 480.0, **({"harmonics": 5} | options))
+
+
+@pytest.fixture
+def balance() -> HarmonicBalance:
+    return HarmonicBalance(pose(LAWS["both"]).system)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_corners_tell_the_derivatives(name):
+    """Those by the sides of the corners are those of ``evaluate``, bit by bit."""
+    rng = np.random.default_rng(3)
+    system = pose(LAWS[name]).system
+    balance = HarmonicBalance(system)
+    forces, motion = rng.normal(size=(2, len(balance.basis.orders), balance.rows)) + 0j
+    for law, at in zip(system.laws, balance.sample(1e3 * forces, 1e-5 * motion), strict=True):
+        if law.linear:
+            continue
+        sides = [corner > 0 for corner in law.find_corners(at)]
+        assert any(0 < side.mean() < 1 for side in sides), "both sides are to be seen"
+        for told, expected in zip(law.differentiate(sides), law.evaluate(at).partials, strict=True):
+            assert (told.variable, told.direction) == (expected.variable, expected.direction)
+            np.testing.assert_array_equal(told.values, expected.values)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_corner_functions_are_linear(name):
+    system = pose(LAWS[name]).system
+    balance = HarmonicBalance(system)
+    rng = np.random.default_rng(4)
+    here, there = rng.normal(size=(2, 2, len(balance.basis.orders), balance.rows)) + 0j
+    looks = [balance.sample(*at) for at in (here, there, 0.5 * (here + there))]
+    for law, *seen in zip(system.laws, *looks, strict=True):
+        if not law.linear:
+            a, b, middle = (np.array(law.find_corners(at)) for at in seen)
+            np.testing.assert_allclose(middle, 0.5 * (a + b), atol=1e-12 * np.abs(a).max())
+
+
+@pytest.mark.parametrize(("name", "far"), [("contact", 1e-3), ("both", 0.01), ("friction", 3.0)])
+def test_it_ends_at_the_solution(name, far, monkeypatch):
+    """Over many corners and without a line search; under forces that only friction has to find, from anywhere."""
+    monkeypatch.setattr(newton_path, "TRIED", 20_000)
+    problem = pose(LAWS[name])
+    balance, solution = HarmonicBalance(problem.system), solve(problem)
+    expected = balance.pack(solution.forces, solution.rigid)
+    start = expected + far * np.random.default_rng(5).normal(size=balance.size) / np.sqrt(balance.size)
+    found = follow_path(balance, start, 1e-9, 20_000)
+    assert found.converged and found.iterations >= 1
+    assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-9
+    np.testing.assert_allclose(found.unknowns, expected, atol=1e-5 * np.linalg.norm(expected))
+
+
+def test_its_residual_is_the_share_that_it_says(balance):
+    """Along the whole path the residual is a multiple of the first one."""
+    start = balance.pack(*balance.full_stick)
+    path = newton_path._Path(balance, start)
+    path.follow(1e-9, 20)
+    assert path.crossed == 20 and 0 < path.share < 1
+    left = (1 - path.share) * balance.residual(start)
+    np.testing.assert_allclose(balance.residual(path.unknowns), left, atol=1e-10)
+
+
+def test_updates_are_those_of_the_matrix(balance):
+    """Each corner's change of rank one, against Jacobians assembled on the pieces before and behind it."""
+    path = newton_path._Path(balance, balance.pack(*balance.full_stick))
+    path.follow(1e-9, 20)  # to where statuses differ
+    assemble = lambda: newton_path.NewtonStep(balance, path._differentiate(), path.begin)  # noqa: E731
+    before = assemble()
+    updates, right, changed = RankOneUpdates(Factorisation(before, path.begin)), path.begin, 0
+    ahead, determinant = updates.factors.solution, np.linalg.slogdet(before.matrix())
+    for number, sides in enumerate(path.sides):
+        for corner in np.argwhere(sides)[:: max(1, sides.size // 12)]:
+            if (change := path._cross(number, tuple(corner))) is None:
+                continue
+            moved, ratio = updates.add(*change)
+            ahead = ahead - (change[1] @ ahead / ratio) * moved
+            matrix = assemble().matrix()
+            np.testing.assert_allclose(matrix, before.matrix() + np.outer(*change), atol=1e-9 * np.abs(matrix).max())
+            sign, logarithm = np.linalg.slogdet(matrix)
+            assert np.sign(ratio) == sign * determinant[0]
+            np.testing.assert_allclose(np.log(np.abs(ratio)), logarithm - determinant[1], atol=1e-6)
+            np.testing.assert_allclose(ahead, np.linalg.solve(matrix, right), rtol=1e-5, atol=1e-7)
+            before, determinant, changed = assemble(), (sign, logarithm), changed + 1
+    assert changed > 10
+
+
+def find_stalled(case: hard_cases.Case, steps: int):
+    """A balance with weights far off, and where Newton's method stalls from the solution with the default ones."""
+    from ewr_fenicsx.weights import use_default_weights
+
+    problem = hard_cases.pose_case(case)
+    usual, balance = solve(use_default_weights(problem)), HarmonicBalance(problem.system)
+    stalled = run_newton(balance, balance.pack(usual.forces, usual.rigid), 1e-8, "elimination", steps, near=True)
+    assert not stalled.converged
+    return balance, stalled
+
+
+def test_it_arrives_where_newton_stalls():
+    """With a line search: 24 steps to a residual of 2e-5. Over some corners: a factorisation."""
+    case = hard_cases.Case("dovetail", 2.0, ("reached", 3.0), 0.01, 15, 1e-3, "closed", (1, 1e-3))
+    balance, stalled = find_stalled(case, 12)
+    found = follow_path(balance, stalled.unknowns, 1e-8, RANK)
+    assert found.converged and found.iterations <= 2
+    assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+
+
+def test_it_turns_at_folds(balance, monkeypatch):
+    """Where the determinant changes sign the residual grows for a while, and the path goes on."""
+    monkeypatch.setattr(newton_path, "TRIED", 2000)
+    start = balance.pack(*balance.full_stick)
+    start += 0.3 * np.random.default_rng(7).normal(size=balance.size) / np.sqrt(balance.size)
+    path = newton_path._Path(balance, start)
+    shares, cross = [], path._cross
+    path._cross = lambda *at: shares.append(path.share) or cross(*at)
+    path.follow(1e-8, 2000)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(shares))[np.diff(shares) != 0]))
+    assert turns.size > 1
+    np.testing.assert_allclose(balance.residual(path.unknowns), (1 - path.share) * path.begin, atol=1e-9)
+
+
+def test_a_step_to_nowhere_ends_the_path_where_it_is(balance, monkeypatch):
+    """As of a matrix that is all but singular: its point was no number, and the next evaluation raised."""
+    start = balance.pack(*balance.full_stick)
+    monkeypatch.setattr(Factorisation, "_solve_mixed", lambda self, b: np.full(self.columns.size, np.nan))
+    found = follow_path(balance, start, 1e-9, 50)
+    assert not found.converged and found.reason == "the Newton matrix is singular"
+    np.testing.assert_array_equal(found.unknowns, start)
+
+
+def test_a_change_that_makes_the_matrix_singular_ends_the_path(balance, monkeypatch):
+    add = RankOneUpdates.add
+    monkeypatch.setattr(RankOneUpdates, "add", lambda *given: (add(*given)[0], 0.0))
+    found = follow_path(balance, balance.pack(*balance.full_stick), 1e-9, 50)
+    assert not found.converged and found.reason == "the Newton matrix is singular"
+    assert np.all(np.isfinite(found.unknowns))
+
+
+def test_a_path_says_how_far_it_went(balance):
+    found = follow_path(balance, balance.pack(*balance.full_stick), 1e-9, 5)
+    assert not found.converged and found.reason.endswith("of the residual in 5 corners")
+
+
+def test_a_run_goes_on_along_the_path_only_next_to_a_solution(balance, monkeypatch):
+    followed, follow = [], newton_path.follow_path
+    monkeypatch.setattr(newton_path, "follow_path", lambda *given: followed.append(given[3]) or follow(*given))
+    start = balance.pack(*balance.full_stick)
+    far = run_and_follow(balance, start, 1e-9, "elimination", 1)
+    assert not far.converged and far.iterations == 1 and not followed
+    monkeypatch.setattr(newton_path, "CLOSE", np.inf)
+    found = run_and_follow(balance, start, 1e-9, "elimination", 1)
+    assert found.converged and found.iterations > 1 and followed == [limit_corners(balance)]
+
+
+def test_laws_that_remember_tell_no_corners():
+    """Their start goes on without."""
+    balance = HarmonicBalance(pose(LAWS["both"], closure="spring").system)
+    assert not can_follow(balance) and follow_path(balance, np.zeros(balance.size), 1e-8, RANK) is None
+    assert run_and_follow(balance, balance.pack(*balance.full_stick), 1e-8, "elimination", 2).iterations == 2
+
+
+def test_the_work_of_a_path_is_bounded(balance):
+    large = replace(pose(LAWS["both"]), harmonics=40)
+    assert limit_corners(balance) == newton_path.CORNERS
+    monstrous = HarmonicBalance(large.system)
+    monstrous.size = 10_000
+    assert limit_corners(monstrous) * monstrous.size <= newton_path.WORK
+
+
+def test_motions_are_read_as_laws_see_them():
+    """A law's derivative by anything that it may see, against the change of that signal."""
+    from ewr_fenicsx.law_derivatives import Derivative
+
+    balance = HarmonicBalance(pose(LAWS["both"]).system)
+    path, rng = newton_path._Path(balance, balance.pack(*balance.full_stick)), np.random.default_rng(6)
+    ahead, sample, pair = rng.normal(size=balance.size), 17, 2
+    forces, rigid = balance.unpack(ahead)
+    motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
+    seen = balance.sample(forces, motion)[0]
+    for variable in Motion._fields:
+        for direction in ("normal", "tangential"):
+            column = balance.system.row_of(direction, np.array([pair]))
+            read = path._read(sample, Derivative(column, column, variable, np.array([[2.0]])))
+            by_forces, by_rigid = read
+            told = (
+                by_forces[balance.unknown] @ ahead[: balance.size - balance.rigid] + by_rigid @ ahead[-balance.rigid :]
+            )
+            expected = 2.0 * getattr(seen, variable)[direction][sample, pair] / balance.force_unit
+            np.testing.assert_allclose(told, expected, rtol=1e-9, atol=1e-12 * abs(expected))
