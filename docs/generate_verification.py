@@ -215,8 +215,9 @@ frequencies from 0.3 to 3 times the first full-stick mode, loads from full stick
 to 1.5, damping ratios 1e-4 to 5e-2, gaps, and weights rho up to a thousandfold off (`rho`: normal and tangential, over
 the defaults). The sample (seed {found["seed"]}) was drawn after the solver was made: nothing was tuned on it.
 Converged means a residual below 1e-8, evaluated anew; others end with a reason, or after
-{found["cap_seconds"]:g} s of work. "Default weights" counts those answered with these, where nothing led to weights far
-off.""",
+{found["cap_seconds"]:g} s of work. "Mean corners" are those of
+Newton's paths, each a right side and no factorisation: a hundred of them come with one Newton step. "Default weights"
+counts those answered with these, where nothing led to weights far off.""",
         "",
         write_table(["by", "", *found["columns"]], [list(map(show_number, row)) for row in rows]),
         "",

@@ -76,7 +76,8 @@ def solve(
     where little can bounce to the model's own; rounded corners through more sets of harmonics, with the oscillating
     load traced from a small share to the whole, past folds; and that tracing by itself. Weights of one's own that the
     first climb does not find, or that are far from the default ones, are come to from a solution with these, which
-    takes all these rungs and is the answer itself where no way leads on.
+    takes all these rungs and is the answer itself where no way leads on. Where Newton's method stalls next to a
+    solution, its path leads on from corner to corner (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 

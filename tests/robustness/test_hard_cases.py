@@ -19,6 +19,7 @@ from ewr_fenicsx import (
     ReducedModel,
     ladder,
     newton,
+    newton_path,
     snes,
     solve,
     time_integration,
@@ -145,9 +146,32 @@ def test_a_cold_start_steps_over_corners_next_to_a_solution(monkeypatch, case):
     problem = hard_cases.pose_case(hard_cases.Case(*case, (1, 1)))
     solution = solve(problem, fallbacks=False)
     assert hard_cases.judge(solution)[0] == "converged" and solution.iterations < 150
+    monkeypatch.setattr(newton_path, "can_follow", lambda _: False)  # as with laws that do not tell their corners
+    stepped = solve(replace(problem), fallbacks=False)
+    assert stepped.converged and stepped.iterations < 150
     monkeypatch.setattr(ladder, "is_cornered", lambda _: False)
-    without = solve(problem, fallbacks=False, raise_on_failure=False)
+    without = solve(replace(problem), fallbacks=False, raise_on_failure=False)
     assert not without.converged and 1e-10 < without.residual < 5e-3
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("dovetail", 1.0, ("reached", 3.0), 1.5, 9, 1e-4, "half open", (1, 1)),
+        ("lap joint", 1.05, ("reached", 3.0), 0.6, 31, 5e-3, "closed", (1e3, 1e3)),
+        ("blade root", 3.0, ("reached", 0.01), 0.01, 3, 5e-3, "closed", (1, 1e3)),
+        ("dovetail", 2.0, ("reached", 1.0), 1.5, 9, 5e-2, "even", (1e-3, 1e-3)),
+    ],
+    ids=lambda case: f"{case[0]}-{case[4]}",
+)
+def test_newtons_path_takes_a_fraction_of_the_steps(monkeypatch, case):
+    """Where runs stalled and walks of hundreds of steps, or more sets of harmonics, were the ways on."""
+    problem = hard_cases.pose_case(hard_cases.Case(*case))
+    solution = solve(problem)
+    assert hard_cases.judge(solution)[0] == "converged" and solution.iterations <= 60
+    assert solution.problem.rho_tangential is problem.rho_tangential
+    monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
+    assert solve(replace(problem)).iterations > 2 * solution.iterations
 
 
 @pytest.mark.parametrize("rho", [(1e3, 1e3), (1e-3, 1e-3), (1.0, 1e-3)])
