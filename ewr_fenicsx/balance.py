@@ -56,6 +56,7 @@ class HarmonicBalance:
         self.law_rows = match_rows(system)
         for law in system.laws:
             check_projection(law)
+            check_corners(law)
         self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
         for law, rows in zip(system.laws, self.law_rows, strict=True):
             self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
@@ -339,6 +340,17 @@ def check_projection(law: Law) -> None:
         raise ModelError(
             f"{name}.impedance has shape {np.shape(law.impedance)}; give one a pair, {law.pairs.shape}, or None"
         )
+
+
+def check_corners(law: Law) -> None:
+    """Refuses a law that says it has corners but does not tell them.
+
+    Raises:
+        ModelError: ``find_corners`` or ``differentiate`` is missing.
+    """
+    for name in ("find_corners", "differentiate") if law.has_corners else ():
+        if getattr(getattr(law, name), "__func__", None) is getattr(Law, name):
+            raise ModelError(f"{type(law).__name__}.has_corners, but it has no {name}; give that, or leave both out")
 
 
 def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:

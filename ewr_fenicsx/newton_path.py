@@ -20,9 +20,10 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_derivatives import Derivative
-from ewr_fenicsx.law_kinds import Response
+from ewr_fenicsx.law_kinds import Law, Motion, Response
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 
@@ -167,9 +168,18 @@ class _Path:
         motion = balance.compliance.motion(forces, rigid)
         seen = balance.sample(forces, motion if moves else motion - balance.compliance.free_motion)
         return [
-            np.zeros(0) if law.linear else np.array(law.find_corners(at))
-            for law, at in zip(balance.system.laws, seen, strict=True)
+            np.zeros(0) if law.linear else self._ask(law, at) for law, at in zip(balance.system.laws, seen, strict=True)
         ]
+
+    def _ask(self, law: Law, motion: Motion) -> RealArray:
+        """A law's corner functions, ``(n, n_t, K)``."""
+        corners, shape = law.find_corners(motion), (self.balance.basis.samples, law.pairs.size)
+        if wrong := [np.shape(one) for one in corners if np.shape(one) != shape]:
+            raise ModelError(
+                f"{type(law).__name__}.find_corners returns an array of shape {wrong[0]}; give some of {shape}, "
+                "instants by pairs"
+            )
+        return np.array(corners)
 
     def _find_rates(self, ahead: RealArray) -> list[RealArray]:
         """How fast corner functions change along a direction."""

@@ -31,6 +31,7 @@ class Rounded:
 
     exact: Law
     width: float
+    has_corners = False  # they are round now
 
     def __getattr__(self, name: str):
         return getattr(self.exact, name)

@@ -12,10 +12,14 @@ from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, newton_path, solve
 from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.law_kinds import Motion
 from ewr_fenicsx.newton_path import RANK, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.newton_step import Factorisation
+from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import run_newton
+from ewr_fenicsx.unilateral import Signorini
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -189,6 +193,11 @@ def test_laws_that_remember_tell_no_corners():
     assert run_and_follow(balance, balance.pack(*balance.full_stick), 1e-8, "elimination", 2).iterations == 2
 
 
+def test_rounded_laws_have_no_corners():
+    system = pose(LAWS["both"]).system
+    assert not can_follow(HarmonicBalance(round_corners(system, 1.0))) and can_follow(HarmonicBalance(system))
+
+
 def test_the_work_of_a_path_is_bounded(balance):
     large = replace(pose(LAWS["both"]), harmonics=40)
     assert limit_corners(balance) == newton_path.CORNERS
@@ -217,3 +226,19 @@ def test_motions_are_read_as_laws_see_them():
             )
             expected = 2.0 * getattr(seen, variable)[direction][sample, pair] / balance.force_unit
             np.testing.assert_allclose(told, expected, rtol=1e-9, atol=1e-12 * abs(expected))
+
+
+def test_a_law_that_does_not_tell_its_corners_is_refused(monkeypatch):
+    monkeypatch.delattr(Coulomb, "differentiate")
+    with pytest.raises(
+        ModelError, match=r"Coulomb\.has_corners, but it has no differentiate; give that, or leave both"
+    ):
+        HarmonicBalance(pose(LAWS["both"]).system)
+
+
+def test_corners_of_another_shape_are_refused(balance, monkeypatch):
+    monkeypatch.setattr(Signorini, "find_corners", lambda law, motion: (motion.force["normal"][0],))
+    with pytest.raises(
+        ModelError, match=r"Signorini\.find_corners returns an array of shape \(6,\); give some of \(256"
+    ):
+        follow_path(balance, balance.pack(*balance.full_stick), 1e-9, RANK)
