@@ -334,7 +334,7 @@ def check_projection(law: Law) -> None:
         raise ModelError(
             f'{name}.opposes = {law.opposes!r}; give one of {", ".join(known)}{nearest(law.opposes, known)}, or ""'
         )
-    if getattr(law.admit, "__func__", None) is Law.admit:
+    if _lacks(law, "admit"):
         raise ModelError(f'{name}.opposes = "{law.opposes}", but it has no admit; give that, or leave opposes out')
     if law.impedance is not None and np.shape(law.impedance) != law.pairs.shape:
         raise ModelError(
@@ -349,8 +349,13 @@ def check_corners(law: Law) -> None:
         ModelError: ``find_corners`` or ``differentiate`` is missing.
     """
     for name in ("find_corners", "differentiate") if law.has_corners else ():
-        if getattr(getattr(law, name), "__func__", None) is getattr(Law, name):
+        if _lacks(law, name):
             raise ModelError(f"{type(law).__name__}.has_corners, but it has no {name}; give that, or leave both out")
+
+
+def _lacks(law: Law, method: str) -> bool:
+    """Whether a law has nothing of its own in place of a method of the protocol."""
+    return getattr(getattr(law, method), "__func__", None) is getattr(Law, method)
 
 
 def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:

@@ -8,7 +8,6 @@ what the two have in common is the solution.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.newton_path import RANK, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver
 from ewr_fenicsx.splitting import NEAR_ENOUGH, Effort, Split, Splitting, are_projections, resample, settle
+from ewr_fenicsx.warm_starts import pick_first
 
 LONG = Effort(iterations=4000, patience=1500, window=40)
 WORK = 12 * 10**7  # iterations at most, times the entries of a state
@@ -48,27 +48,25 @@ def split_at_length(
     """
     if not are_projections(balance):
         return None
-    attempts, steps = [], 0
-    for start, last in _approach(balance, forces, motion):
-        for found in _arrive(balance, start, last, tolerance, linear_solver):
-            attempts.append(found)
-            steps += found.iterations
-            if found.converged or found.walks:
-                return replace(found, iterations=steps)
-        if steps >= MOST_STEPS:
-            break
-    return replace(min(attempts), iterations=steps) if attempts else None
+    return pick_first(_arrive(balance, _approach(balance, forces, motion), tolerance, linear_solver))
 
 
 def _arrive(
-    balance: HarmonicBalance, start: RealArray, last: bool, tolerance: float, linear_solver: LinearSolver
+    balance: HarmonicBalance, starts: Iterator[tuple[RealArray, bool]], tolerance: float, linear_solver: LinearSolver
 ) -> Iterator[Attempt]:
-    """Attempts from a start: a short path while closer ones follow; from the last a long one, and a run of Newton."""
-    path = follow_path(balance, start, tolerance, limit_corners(balance) if last else RANK)
-    if path is not None:
-        yield path
-    if path is None or last:
-        yield run_and_follow(balance, start, tolerance, linear_solver, NEWTON_STEPS, near=True)
+    """Attempts from starts: a short path while closer ones follow; from the last a long one, and a run of Newton."""
+    steps = 0
+    for start, last in starts:
+        path = follow_path(balance, start, tolerance, limit_corners(balance) if last else RANK)
+        if path is not None:
+            steps += path.iterations
+            yield path
+        if path is None or last:
+            run = run_and_follow(balance, start, tolerance, linear_solver, NEWTON_STEPS, near=True)
+            steps += run.iterations
+            yield run
+        if steps >= MOST_STEPS:
+            return
 
 
 def _approach(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[tuple[RealArray, bool]]:

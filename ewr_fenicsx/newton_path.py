@@ -56,8 +56,7 @@ def run_and_follow(
     path = follow_path(balance, run.unknowns, tolerance, most or limit_corners(balance))
     if path is None:
         return run
-    better = path if path.converged or path.walks else min(path, run)
-    return replace(better, iterations=run.iterations + path.iterations)
+    return replace(min(path, run), iterations=run.iterations + path.iterations)
 
 
 def follow_path(balance: HarmonicBalance, start: RealArray, tolerance: float, most: int) -> Attempt | None:
@@ -253,5 +252,4 @@ class _Path:
             amplitudes[0] = 0.0
         elif not d.by_force:
             rigid = value * balance.rigid_motion[column]
-        picked = amplitudes[basis.slot]
-        return np.where(basis.is_real_part[:, None], picked.real, -picked.imag), rigid
+        return basis.to_coefficients(amplitudes.conj()), rigid

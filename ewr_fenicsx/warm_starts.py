@@ -68,13 +68,19 @@ def try_starts(
         starts: As ``list_starts`` makes them.
         run: What makes an attempt of a start, called like ``run_newton``, the default.
     """
-    attempts, steps, run = [], 0, run or run_newton
-    for unknowns, near, taken in starts:
-        attempts.append(run(balance, unknowns, tolerance, linear_solver, limit, near=near))
-        steps += attempts[-1].iterations + taken
-        if attempts[-1].converged or attempts[-1].walks:
+    run = run or run_newton
+    runs = ((run(balance, u, tolerance, linear_solver, limit, near=near), taken) for u, near, taken in starts)
+    return pick_first(replace(attempt, iterations=attempt.iterations + taken) for attempt, taken in runs)
+
+
+def pick_first(attempts: Iterable[Attempt]) -> Attempt | None:
+    """The first attempt that found something, no more are made, or the best; with the steps of all; None of none."""
+    made = []
+    for attempt in attempts:
+        made.append(attempt)
+        if attempt.converged or attempt.walks:
             break
-    return replace(min(attempts), iterations=steps) if attempts else None
+    return replace(min(made), iterations=sum(attempt.iterations for attempt in made)) if made else None
 
 
 def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: float) -> Iterator[Start]:
