@@ -38,6 +38,7 @@ from ewr_fenicsx.warm_starts import WARM_STEPS, try_starts
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
 COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
+FINE_FROM = 9  # highest harmonic from which they are tried after Newton's path: below, time stepping takes fewer steps
 LAST_STEPS = 40  # Newton steps of the last set, after which its path is tried
 COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
@@ -46,6 +47,7 @@ FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may
 CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its tracing starts
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
+BEGUN = 0.15  # share of the way that a branch is taken to have gone at least, where its pace is looked at
 BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
 LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
 LARGEST_DAMPED, DAMPED_POINTS = 500, 400  # the same where damping falls: its branch has more corners, and more points
@@ -76,7 +78,8 @@ def start_cold(
 
     Where that ends next to a solution, through more sets of harmonics, stepping over corners.
 
-    ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried.
+    ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried. Nor are they where
+    the harmonics are few and Newton's path has led nowhere.
     """
     split = start_from_splitting(balance, tolerance, linear_solver)
     if split.converged or split.walks:
@@ -84,7 +87,8 @@ def start_cold(
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
     better = climbed if climbed.converged else min(climbed, split)
     better = replace(better, iterations=split.iterations + climbed.iterations)
-    if better.converged or better.walks or limit is not None or not is_cornered(better):
+    few = can_follow(balance) and balance.basis.orders[-1] < FINE_FROM
+    if better.converged or better.walks or limit is not None or few or not is_cornered(better):
         return better
     rungs = (step_over_corners,)
     fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, FINE_TOLERANCE, COARSE_STEPS)
@@ -294,21 +298,24 @@ def follow(
     failed: Attempt,
     what: str,
     points: int = BRANCH_POINTS,
-    most_steps: float = np.inf,
+    pace: float = np.inf,
 ) -> Attempt:
     """Trace a branch by arc length, past folds, from a solution at ``begin`` to the goal at a parameter of one.
 
-    It is left after so many ``points``, or Newton steps.
+    It is left after so many ``points``, or as soon as it would take more Newton steps for the whole way than ``pace``,
+    going on as it has so far.
 
     Returns:
         The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
     """
-    here, steps, reach = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1
+    here, steps, reach, furthest = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1, BEGUN
     branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
     for _ in range(points):
-        if steps > most_steps or (point := next(branch, None)) is None:
+        slow = steps - failed.iterations > pace * furthest
+        if slow or (point := next(branch, None)) is None:
             break
         steps += point.steps
+        furthest = max(furthest, (point.parameter - begin) / (1.0 - begin))
         if point.parameter < BEHIND:
             break
         if point.parameter < 1.0:

@@ -28,7 +28,8 @@ def far():
 
 @pytest.fixture
 def indirect(monkeypatch):
-    """No run of Newton's method that leads there at once."""
+    """No path and no run of Newton's method that leads there at once."""
+    monkeypatch.setattr(weights, "NEAR", 0.0)
     monkeypatch.setattr(weights, "DIRECT_STEPS", 0)
 
 
@@ -55,13 +56,17 @@ def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkey
 
 
 def test_where_little_slips_the_solution_with_default_weights_is_near_enough(far, monkeypatch):
-    """No splitting, and no walk: a few Newton steps from there."""
+    """No splitting, and no walk: Newton's path from there, and Newton's method where laws do not tell their corners."""
     case = hard_cases.Case("lap joint", 0.5, ("reached", 0.3), 0.6, 5, 0.05, "closed", (1e3, 1e-3))
     problem = hard_cases.pose_case(case)
     monkeypatch.setattr(weights, "split_at_length", lambda *_: pytest.fail("no splitting is needed"))
     usual = solve(weights.use_default_weights(problem))
     found = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
-    assert found.converged and 0 < found.iterations <= weights.DIRECT_STEPS
+    assert found.converged and 0 < found.iterations <= weights.DIRECT_CORNERS / newton_path.RANK
+    monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
+    other = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
+    assert other.converged and found.iterations < other.iterations <= weights.DIRECT_STEPS
+    np.testing.assert_allclose(found.unknowns, other.unknowns, atol=1e-7)
 
 
 @pytest.mark.parametrize(("factor", "at_once"), [(1e3, True), (1e-3, True), (3.0, False)])
@@ -136,3 +141,21 @@ def test_a_branch_that_leads_away_is_left(far, monkeypatch):
     failed = Attempt(unknowns, np.inf, 0, "", False)
     last = ladder.follow(balance, lambda share: balance, 0.0, unknowns, 1e-8, failed, "of the way")
     assert len(yielded) == 1 and "lost or too long at 0% of the way" in last.reason
+
+
+@pytest.mark.parametrize(("ahead", "arrives"), [(0.05, True), (0.03, False), (-0.05, False)])
+def test_a_walk_is_left_as_soon_as_it_is_too_slow(far, monkeypatch, ahead, arrives):
+    """One of ten steps a point has 220 for the whole way: not when these are spent, but when they would not do."""
+    balance, usual = far
+    unknowns, yielded = balance.pack(usual.forces, usual.rigid), []
+
+    def walk(at, here, *given, **options):
+        while True:
+            yielded.append(BranchPoint(ahead * (len(yielded) + 1), here.unknowns, 10))
+            yield yielded[-1]
+
+    monkeypatch.setattr(ladder, "trace_branch", walk)
+    failed = Attempt(unknowns, np.inf, 7, "", False)  # its own steps count for nothing here
+    ladder.follow(balance, lambda share: balance, 0.0, unknowns, 1e-8, failed, "of the way", pace=220)
+    assert (yielded[-1].parameter >= 1.0) == arrives
+    assert arrives or len(yielded) == 4
