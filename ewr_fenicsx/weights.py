@@ -7,7 +7,7 @@ few weights at next to no Newton steps, and where it ends, the branch of solutio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,17 +19,15 @@ from ewr_fenicsx.continuation import BalanceAt
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ladder import BEHIND, LARGEST_TRACED, follow
 from ewr_fenicsx.long_splitting import split_at_length
-from ewr_fenicsx.newton_path import RANK, follow_path, run_and_follow
+from ewr_fenicsx.newton_path import RANK, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from, pick_first
+from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
 
 # Shares of the way, in the logarithms of the weights, that splittings take one after the other; and how closely those
 # on the way are solved.
 STAGES, STAGE_TOLERANCE = (1 / 3, 2 / 3, 1.0), 1e-4
-# Residual of the default weights' solution as it is, below which Newton's path may lead on at once, in so many corners;
-# and Newton steps of a run from there, where it does not.
-NEAR, DIRECT_CORNERS, DIRECT_STEPS = 1e-2, 2 * RANK, 8
+DIRECT_STEPS = 8  # Newton steps from the default weights' solution as it is, before: where little slips they arrive
 WALK_STEPS = 220  # Newton steps of a walk; one is given up as soon as it would take more at its pace
 # Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
 FAR = 30.0
@@ -89,7 +87,7 @@ def approach_weights(
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
     if joined:
-        last = pick_first(_go_directly(balance, begin, tolerance, linear_solver))
+        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=RANK)
         steps = last.iterations
         if last.converged:
             return last
@@ -109,16 +107,6 @@ def approach_weights(
         steps += last.iterations
     last = last or Attempt(here, np.inf, 0, "no splitting came near a solution", False)
     return replace(last, iterations=steps)
-
-
-def _go_directly(
-    balance: HarmonicBalance, begin: RealArray, tolerance: float, linear_solver: LinearSolver
-) -> Iterator[Attempt]:
-    """Attempts from the default weights' solution as it is."""
-    near = np.linalg.norm(balance.residual(begin)) < NEAR
-    if near and (path := follow_path(balance, begin, tolerance, DIRECT_CORNERS)):
-        yield path
-    yield run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=RANK)
 
 
 def walk_weights(

@@ -28,8 +28,7 @@ def far():
 
 @pytest.fixture
 def indirect(monkeypatch):
-    """No path and no run of Newton's method that leads there at once."""
-    monkeypatch.setattr(weights, "NEAR", 0.0)
+    """No run of Newton's method that leads there at once."""
     monkeypatch.setattr(weights, "DIRECT_STEPS", 0)
 
 
@@ -56,17 +55,13 @@ def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkey
 
 
 def test_where_little_slips_the_solution_with_default_weights_is_near_enough(far, monkeypatch):
-    """No splitting, and no walk: Newton's path from there, and Newton's method where laws do not tell their corners."""
+    """No splitting, and no walk: a few Newton steps from there."""
     case = hard_cases.Case("lap joint", 0.5, ("reached", 0.3), 0.6, 5, 0.05, "closed", (1e3, 1e-3))
     problem = hard_cases.pose_case(case)
     monkeypatch.setattr(weights, "split_at_length", lambda *_: pytest.fail("no splitting is needed"))
     usual = solve(weights.use_default_weights(problem))
     found = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
-    assert found.converged and 0 < found.iterations <= weights.DIRECT_CORNERS / newton_path.RANK
-    monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
-    other = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
-    assert other.converged and found.iterations < other.iterations <= weights.DIRECT_STEPS
-    np.testing.assert_allclose(found.unknowns, other.unknowns, atol=1e-7)
+    assert found.converged and 0 < found.iterations <= weights.DIRECT_STEPS
 
 
 @pytest.mark.parametrize(("factor", "at_once"), [(1e3, True), (1e-3, True), (3.0, False)])
