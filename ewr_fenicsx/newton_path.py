@@ -8,6 +8,9 @@ side, no factorisation. Where that turns the sign of the determinant, s runs bac
 Newton's method with a line search stalls where the residual has to rise before it falls; the path goes on. Next to a
 solution it has few corners, but thousands may lie between two solutions.
 
+The balance is linear in its loads, too, which may grow along with s. From the solution under a small load, all that is
+left of the residual is rounding, and the path passes through solutions only.
+
 Sources: Fujisawa & Kuh (1970), Piecewise-linear theory of nonlinear networks, memorandum ERL-M286, Berkeley;
 Ralph (1994), doi:10.1287/moor.19.2.352.
 """
@@ -59,7 +62,13 @@ def run_and_follow(
     return replace(min(path, run), iterations=run.iterations + path.iterations)
 
 
-def follow_path(balance: HarmonicBalance, start: RealArray, tolerance: float, most: int) -> Attempt | None:
+def follow_path(
+    balance: HarmonicBalance,
+    start: RealArray,
+    tolerance: float,
+    most: int,
+    loaded_less: HarmonicBalance | None = None,
+) -> Attempt | None:
     """Follow Newton's path from a start; each factorisation counts as a Newton step, and serves ``RANK`` corners.
 
     Args:
@@ -67,13 +76,14 @@ def follow_path(balance: HarmonicBalance, start: RealArray, tolerance: float, mo
         start: ``(size,)`` scaled unknowns.
         tolerance: Residual norm accepted.
         most: Corners at most.
+        loaded_less: The same under other loads, near whose solution it starts: on the way these grow to the balance's.
 
     Returns:
         The solution, or how far the path went; None where some law does not tell its corners.
     """
     if not can_follow(balance):
         return None
-    path = _Path(balance, start)
+    path = _Path(balance, start, loaded_less or balance)
     why = path.follow(tolerance, most)
     found = run_newton(balance, path.unknowns, tolerance, "elimination", 0, near=True)  # looks whether it walks
     reason = found.reason if found.converged or found.walks else why
@@ -113,28 +123,31 @@ class RankOneUpdates:
 class _Path:
     """A point on Newton's path, and the side of every corner on which it lies."""
 
-    def __init__(self, balance: HarmonicBalance, start: RealArray):
+    def __init__(self, balance: HarmonicBalance, start: RealArray, loaded_less: HarmonicBalance):
         self.balance, self.unknowns = balance, start.copy()
-        self.begin = balance.residual(start)
+        self.begin = loaded_less.residual(start)
+        self.growing = balance.compliance.free_motion - loaded_less.compliance.free_motion
+        self.grows = bool(np.any(self.growing))
         self.share, self.factored, self.crossed = 0.0, 0, 0
-        self.still = self._look(np.zeros_like(start), moves=False)
-        self.sides = [corners > 0 for corners in self._look(start)]
+        self.still = self._look(np.zeros_like(start), balance.compliance.free_motion)
+        self.sides = [corners > 0 for corners in self._look_here()]
 
     def follow(self, tolerance: float, most: int) -> str:
         """Go on until the residual is small enough, or the path is left; says why it ended."""
-        sense, left = 1.0, float(np.linalg.norm(self.begin))
+        sense, left = 1.0, np.inf if self.grows else float(np.linalg.norm(self.begin))
+        tried = most if self.grows else TRIED
         while True:
             try:
                 step = NewtonStep(self.balance, self._differentiate(), self.begin)
-                updates = RankOneUpdates(Factorisation(step, self.begin))
+                updates = RankOneUpdates(Factorisation(step, self.begin + self._find_pull(step)))
             except np.linalg.LinAlgError:
                 return "the Newton matrix is singular"
             self.factored += 1
-            ahead, at = -sense * updates.factors.solution, self._look(self.unknowns)
+            ahead, at = -sense * updates.factors.solution, self._look_here()
             while updates.count < RANK:
                 if not np.linalg.norm(ahead) < np.inf:
                     return "the Newton matrix is singular"
-                rates = self._find_rates(ahead)
+                rates = self._find_rates(ahead, sense)
                 reach, number, corner = self._find_corner(at, rates)
                 arrives = sense > 0 and reach >= 1 - self.share
                 reach = 1 - self.share if arrives else reach
@@ -149,23 +162,34 @@ class _Path:
                 if self.share < BEHIND:
                     return "Newton's path leads away"
                 self.crossed += 1
-                if self.crossed >= min(most, max(TRIED, CORNERS * self.share)):
-                    return f"Newton's path takes {self.share:.0%} of the residual in {self.crossed} corners"
+                if self.crossed >= min(most, max(tried, CORNERS * self.share)):
+                    what = "load" if self.grows else "residual"
+                    return f"Newton's path takes {self.share:.0%} of the {what} in {self.crossed} corners"
                 change = self._cross(number, corner)
                 if change is None:
                     continue
-                moved, ratio = updates.add(*change)
+                u, w, pull = change
+                moved, ratio = updates.add(u, w)
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    ahead = ahead - np.divide(change[1] @ ahead, ratio) * moved
+                    ahead = ahead - np.divide(w @ ahead + sense * pull, ratio) * moved
                 if ratio < 0:
                     sense, ahead = -sense, -ahead
 
-    def _look(self, unknowns: RealArray, moves: bool = True) -> list[RealArray]:
-        """Corner functions of every law, ``(n, n_t, K)``; ``moves``: whether loads move the pairs, or forces only."""
+    def _find_pull(self, step: NewtonStep) -> RealArray:
+        """How fast the residual changes with the growing loads, ``(size,)``."""
+        if not self.grows:
+            return np.zeros(self.balance.size)
+        return step.change(np.zeros_like(self.growing), self.growing, np.zeros(self.balance.rigid))
+
+    def _look_here(self) -> list[RealArray]:
+        """Corner functions of every law at the point, ``(n, n_t, K)``."""
+        return self._look(self.unknowns, (1 - self.share) * self.growing)
+
+    def _look(self, unknowns: RealArray, lacking: ComplexArray) -> list[RealArray]:
+        """The same elsewhere, where so much of the motion by loads is lacking, amplitudes ``(n_h, m)`` [m]."""
         balance = self.balance
         forces, rigid = balance.unpack(unknowns)
-        motion = balance.compliance.motion(forces, rigid)
-        seen = balance.sample(forces, motion if moves else motion - balance.compliance.free_motion)
+        seen = balance.sample(forces, balance.compliance.motion(forces, rigid) - lacking)
         return [
             np.zeros(0) if law.linear else self._ask(law, at) for law, at in zip(balance.system.laws, seen, strict=True)
         ]
@@ -180,10 +204,10 @@ class _Path:
             )
         return np.array(corners)
 
-    def _find_rates(self, ahead: RealArray) -> list[RealArray]:
-        """How fast corner functions change along a direction."""
+    def _find_rates(self, ahead: RealArray, sense: float) -> list[RealArray]:
+        """How fast corner functions change along a direction, in which the share grows, or falls."""
         size = np.linalg.norm(ahead) or 1.0
-        moved = self._look(ahead / size, moves=False)
+        moved = self._look(ahead / size, self.balance.compliance.free_motion - sense / size * self.growing)
         return [size * (there - here) for there, here in zip(moved, self.still, strict=True)]
 
     def _find_corner(self, at: Sequence[RealArray], rates: Sequence[RealArray]) -> tuple[float, int, tuple[int, ...]]:
@@ -213,20 +237,25 @@ class _Path:
             ]
         )
 
-    def _cross(self, number: int, corner: tuple[int, ...]) -> tuple[RealArray, RealArray] | None:
-        """Go to the other side; the change of the Jacobian as ``u`` and ``w``, ``(size,)``; None: there is none."""
+    def _cross(self, number: int, corner: tuple[int, ...]) -> tuple[RealArray, RealArray, float] | None:
+        """Go to the other side; the change of the Jacobian as ``u`` and ``w``, ``(size,)``; None: there is none.
+
+        And what growing loads pull along ``u`` beside it.
+        """
         balance, (_, sample, pair) = self.balance, corner
         law, row = balance.system.laws[number], balance.law_rows[number][pair]
         sides = self.sides[number][:, sample : sample + 1]
         before = law.differentiate(sides)
         self.sides[number][corner] ^= True
-        by_forces, by_rigid, changes = np.zeros(balance.unknown.shape), np.zeros(balance.rigid), False
+        by_forces, by_rigid, pull, changes = np.zeros(balance.unknown.shape), np.zeros(balance.rigid), 0.0, False
         for old, new in zip(before, law.differentiate(sides), strict=True):
             column = balance.system.row_of(new.direction, law.pairs[pair : pair + 1])
             value = new.values[:1, pair] - old.values[:1, pair]
             if value != 0 and column[0] >= 0:  # else it is given, not unknown
-                forces, rigid = self._read(sample, Derivative(np.array([row]), column, new.variable, value[:, None]))
-                by_forces, by_rigid, changes = by_forces + forces, by_rigid + rigid, True
+                forces, rigid, load = self._read(
+                    sample, Derivative(np.array([row]), column, new.variable, value[:, None])
+                )
+                by_forces, by_rigid, pull, changes = by_forces + forces, by_rigid + rigid, pull + load, True
         if not changes:
             return None
         moved = np.zeros(balance.unknown.shape)
@@ -236,10 +265,13 @@ class _Path:
         return (
             np.concatenate([moved[balance.unknown], np.zeros(balance.rigid)]),
             np.concatenate([by_forces[balance.unknown], by_rigid]),
+            pull,
         )
 
-    def _read(self, sample: int, d: Derivative) -> tuple[RealArray, RealArray]:
-        """A derivative times its variable at a sample, by all forces ``(n_c, m)`` and rigid coordinates ``(r,)``."""
+    def _read(self, sample: int, d: Derivative) -> tuple[RealArray, RealArray, float]:
+        """A derivative times its variable at a sample, by all forces ``(n_c, m)``, rigid coordinates ``(r,)``, and the
+        share of growing loads.
+        """
         balance, basis, column, value = self.balance, self.balance.basis, d.columns[0], d.values[0, 0]
         factor = value * np.exp(2j * np.pi * sample / basis.samples * np.array(basis.orders)) * balance.rate**d.rates
         amplitudes: ComplexArray = np.zeros((factor.size, balance.rows), dtype=complex)
@@ -247,9 +279,11 @@ class _Path:
             amplitudes[:, column] = factor
         else:
             amplitudes += factor[:, None] * balance.compliance.flexibility[:, column]
-        rigid = np.zeros(balance.rigid)
+        rigid, load = np.zeros(balance.rigid), 0.0
         if d.blind_to_mean and basis.has_mean:
-            amplitudes[0] = 0.0
+            amplitudes[0] = factor[0] = 0.0
         elif not d.by_force:
             rigid = value * balance.rigid_motion[column]
-        return basis.to_coefficients(amplitudes.conj()), rigid
+        if not d.by_force:
+            load = float(np.real(factor @ self.growing[:, column])) / balance.force_unit
+        return basis.to_coefficients(amplitudes.conj()), rigid, load

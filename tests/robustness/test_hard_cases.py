@@ -175,6 +175,27 @@ def test_newtons_path_takes_a_fraction_of_the_steps(monkeypatch, case):
     assert solve(replace(problem)).iterations > 2 * solution.iterations
 
 
+@pytest.mark.parametrize(
+    "case",
+    [
+        hard_cases.Case("dovetail", 1 / 3, ("reached", 3.0), 1.5, 1, 0.02, "even", (1, 1)),
+        hard_cases.Case("dovetail", 0.5, ("reached", 3.0), 1.0, 1, 0.05, "even", (1, 1)),
+        hard_cases.Case("lap joint", 3.0, ("applied", 0.1), 0.6, 3, 0.005, "random", (1, 1)),
+    ],
+    ids=lambda case: f"{case.model}-{case.frequency:.2g}",
+)
+def test_in_small_joints_the_load_grows_over_corners(case):
+    """From next to no load, where it is no hard case; rounded corners took 400 to 500 steps in the first two."""
+    problem = hard_cases.pose_case(case)
+    balance = HarmonicBalance(problem.system)
+    assert balance.size <= ladder.LARGEST_GROWN
+    found = ladder.grow_load(balance, 1e-8, ladder.begin_at_full_stick(balance))
+    assert found.converged and found.iterations <= 60 and "grown from corner to corner" in found.reason
+    assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+    rungs = [name for name, _ in newton.list_rungs(problem, balance, None, 1e-8, "elimination")]
+    assert rungs[1:4] == ["time stepping", "load grown over corners", "rounded corners"]
+
+
 @pytest.mark.parametrize("rho", [(1e3, 1e3), (1e-3, 1e-3), (1.0, 1e-3)])
 def test_weights_far_off_are_approached_from_the_defaults(rho):
     """Gross lift-off, which no way by itself finds with such weights; the answer is the asked problem's own."""

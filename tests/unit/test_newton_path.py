@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, newton_path, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.ladder import load_by_share
 from ewr_fenicsx.law_kinds import Motion
 from ewr_fenicsx.newton_path import RANK, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.newton_step import Factorisation
@@ -88,16 +90,48 @@ def test_it_ends_at_the_solution(name, far, monkeypatch):
 def test_its_residual_is_the_share_that_it_says(balance):
     """Along the whole path the residual is a multiple of the first one."""
     start = balance.pack(*balance.full_stick)
-    path = newton_path._Path(balance, start)
+    path = newton_path._Path(balance, start, balance)
     path.follow(1e-9, 20)
     assert path.crossed == 20 and 0 < path.share < 1
     left = (1 - path.share) * balance.residual(start)
     np.testing.assert_allclose(balance.residual(path.unknowns), left, atol=1e-10)
 
 
+def test_under_growing_loads_too(balance):
+    """At every load on the way: by rounding from a solution where it begins at one, else by a share of the first."""
+    firm = balance.firm
+    for share, start in ((0.02, None), (0.5, firm.pack(*firm.full_stick))):
+        first = load_by_share(balance, share)
+        if start is None:
+            start = run_newton(first, first.pack(*first.full_stick), 1e-11, "elimination").unknowns
+        path = newton_path._Path(firm, start, first)
+        path.follow(1e-9, 20)
+        assert path.crossed == 20 and 0 < path.share < 1
+        here = load_by_share(balance, share + (1 - share) * path.share)
+        left = (1 - path.share) * first.residual(start)
+        np.testing.assert_allclose(here.residual(path.unknowns), left, atol=1e-9)
+
+
+def test_loads_grow_to_the_solution(balance):
+    """Without a start near it, and without a fold here, which would add corners: several statuses change on the way."""
+    firm, first = balance.firm, load_by_share(balance, 0.02)
+    begin = run_newton(first, first.pack(*first.full_stick), 1e-11, "elimination").unknowns
+    found = follow_path(firm, begin, 1e-8, 20_000, first)
+    assert found.converged and found.iterations > 1
+    few = follow_path(firm, begin, 1e-8, 50, first)
+    assert not few.converged and re.match(r"Newton's path takes \d+% of the load in 50 corners", few.reason)
+    solution = solve(pose(LAWS["both"]))
+    closer = run_newton(balance, found.unknowns, 1e-10, "elimination", near=True)
+    expected = balance.pack(solution.forces, solution.rigid)
+    np.testing.assert_allclose(closer.unknowns, expected, atol=1e-6 * np.linalg.norm(expected))
+
+
 def test_updates_are_those_of_the_matrix(balance):
-    """Each corner's change of rank one, against Jacobians assembled on the pieces before and behind it."""
-    path = newton_path._Path(balance, balance.pack(*balance.full_stick))
+    """Each corner's change of rank one, against Jacobians assembled on the pieces before and behind it.
+
+    And of what growing loads pull, against what the assembled derivatives make of them.
+    """
+    path = newton_path._Path(balance, balance.pack(*balance.full_stick), load_by_share(balance, 0.5))
     path.follow(1e-9, 20)  # to where statuses differ
     assemble = lambda: newton_path.NewtonStep(balance, path._differentiate(), path.begin)  # noqa: E731
     before = assemble()
@@ -107,10 +141,13 @@ def test_updates_are_those_of_the_matrix(balance):
         for corner in np.argwhere(sides)[:: max(1, sides.size // 12)]:
             if (change := path._cross(number, tuple(corner))) is None:
                 continue
-            moved, ratio = updates.add(*change)
-            ahead = ahead - (change[1] @ ahead / ratio) * moved
+            u, w, pull = change
+            moved, ratio = updates.add(u, w)
+            ahead = ahead - (w @ ahead / ratio) * moved
             matrix = assemble().matrix()
-            np.testing.assert_allclose(matrix, before.matrix() + np.outer(*change), atol=1e-9 * np.abs(matrix).max())
+            np.testing.assert_allclose(matrix, before.matrix() + np.outer(u, w), atol=1e-9 * np.abs(matrix).max())
+            pulls = [path._find_pull(step) for step in (before, assemble())]
+            np.testing.assert_allclose(pulls[1], pulls[0] + pull * u, atol=1e-9 * np.abs(pulls[1]).max())
             sign, logarithm = np.linalg.slogdet(matrix)
             assert np.sign(ratio) == sign * determinant[0]
             np.testing.assert_allclose(np.log(np.abs(ratio)), logarithm - determinant[1], atol=1e-6)
@@ -144,7 +181,7 @@ def test_it_turns_at_folds(balance, monkeypatch):
     monkeypatch.setattr(newton_path, "TRIED", 2000)
     start = balance.pack(*balance.full_stick)
     start += 0.3 * np.random.default_rng(7).normal(size=balance.size) / np.sqrt(balance.size)
-    path = newton_path._Path(balance, start)
+    path = newton_path._Path(balance, start, balance)
     shares, cross = [], path._cross
     path._cross = lambda *at: shares.append(path.share) or cross(*at)
     path.follow(1e-8, 2000)
@@ -211,7 +248,7 @@ def test_motions_are_read_as_laws_see_them():
     from ewr_fenicsx.law_derivatives import Derivative
 
     balance = HarmonicBalance(pose(LAWS["both"]).system)
-    path, rng = newton_path._Path(balance, balance.pack(*balance.full_stick)), np.random.default_rng(6)
+    path, rng = newton_path._Path(balance, balance.pack(*balance.full_stick), balance), np.random.default_rng(6)
     ahead, sample, pair = rng.normal(size=balance.size), 17, 2
     forces, rigid = balance.unpack(ahead)
     motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
@@ -220,7 +257,8 @@ def test_motions_are_read_as_laws_see_them():
         for direction in ("normal", "tangential"):
             column = balance.system.row_of(direction, np.array([pair]))
             read = path._read(sample, Derivative(column, column, variable, np.array([[2.0]])))
-            by_forces, by_rigid = read
+            by_forces, by_rigid, pull = read
+            assert pull == 0, "no load grows here"
             told = (
                 by_forces[balance.unknown] @ ahead[: balance.size - balance.rigid] + by_rigid @ ahead[-balance.rigid :]
             )
