@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -299,7 +300,7 @@ def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> A
     counted = replace(failed, iterations=failed.iterations + begun.iterations)
     if not begun.converged:
         return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
-    at = lambda share: load_by_share(balance, share)  # noqa: E731
+    at = partial(load_by_share, balance)
     return follow(balance, at, FIRST_LOAD_SHARE, begun.unknowns, tolerance, counted, "of the oscillating load")
 
 

@@ -177,8 +177,6 @@ class _Path:
 
     def _find_pull(self, step: NewtonStep) -> RealArray:
         """How fast the residual changes with the growing loads, ``(size,)``."""
-        if not self.grows:
-            return np.zeros(self.balance.size)
         return step.change(np.zeros_like(self.growing), self.growing, np.zeros(self.balance.rigid))
 
     def _look_here(self) -> list[RealArray]:
@@ -274,16 +272,15 @@ class _Path:
         """
         balance, basis, column, value = self.balance, self.balance.basis, d.columns[0], d.values[0, 0]
         factor = value * np.exp(2j * np.pi * sample / basis.samples * np.array(basis.orders)) * balance.rate**d.rates
+        if d.blind_to_mean and basis.has_mean:
+            factor[0] = 0.0
         amplitudes: ComplexArray = np.zeros((factor.size, balance.rows), dtype=complex)
+        rigid, load = np.zeros(balance.rigid), 0.0
         if d.by_force:
             amplitudes[:, column] = factor
         else:
             amplitudes += factor[:, None] * balance.compliance.flexibility[:, column]
-        rigid, load = np.zeros(balance.rigid), 0.0
-        if d.blind_to_mean and basis.has_mean:
-            amplitudes[0] = factor[0] = 0.0
-        elif not d.by_force:
-            rigid = value * balance.rigid_motion[column]
-        if not d.by_force:
             load = float(np.real(factor @ self.growing[:, column])) / balance.force_unit
+            if not d.blind_to_mean:
+                rigid = value * balance.rigid_motion[column]
         return basis.to_coefficients(amplitudes.conj()), rigid, load
