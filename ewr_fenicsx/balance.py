@@ -28,9 +28,6 @@ from ewr_fenicsx.newton_step import NewtonStep
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
 HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
-# Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
-# gaps that do close take less, and pairs slip before they hold a resonance.
-MOST = 1e3
 LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
 
 
@@ -39,7 +36,7 @@ class HarmonicBalance:
 
     Args:
         system: The composed system, with at least one row.
-        force_unit: Force that counts as one [N]; None: the norm of the full-stick forces.
+        force_unit: Force that counts as one [N]; None: the norm of the full-stick forces, or less.
         least_share: Least weight of the mean force in its mean equation, where it has any; that of the mean
             displacement rises with it.
     """
@@ -113,9 +110,10 @@ class HarmonicBalance:
     def force_unit(self) -> float:
         """Force that counts as one [N]: the norm of the full-stick forces where none was given.
 
-        Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. Wide gaps and undamped modes
-        take forces beside which all others would be rounding: the unit is at most ``MOST`` times the norm of the forces
-        that hold the pairs where they are, each row by itself where they oscillate.
+        Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. That may take forces beside
+        which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
+        resonance: the unit is at most the norm of the forces that hold the pairs where they are, each row by itself
+        where they oscillate.
         """
         if self._force_unit:
             return self._force_unit
@@ -129,7 +127,7 @@ class HarmonicBalance:
             np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
         )
         unit = float(np.linalg.norm(stick))
-        return min(unit, float(MOST * usual) or unit) or 1.0
+        return min(unit, float(usual) or unit) or 1.0
 
     @cached_property
     def firm(self) -> HarmonicBalance:

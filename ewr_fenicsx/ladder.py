@@ -124,11 +124,14 @@ def climb(
     rungs: tuple[Rung, ...] = (),
     coarse_tolerance: float = COARSE_TOLERANCE,
     limit: int | None = None,
+    *,
+    all_sets: bool = False,
 ) -> Attempt:
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
-    are any.
+    are any. A set that no solution is found with is the last, unless ``all_sets`` are to be tried: hardly any larger
+    one has one that is found from there.
     """
     below, attempt, steps, held = None, None, 0, None
     for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
@@ -147,7 +150,14 @@ def climb(
             if not attempt.converged and steps + attempt.iterations < MOST_STEPS:
                 attempt = rung(level, goal, attempt)
         steps += attempt.iterations
-        below, held = level, orders[-1] if attempt.converged else held
+        below = level
+        if attempt.converged:
+            held = orders[-1]
+        elif not all_sets:
+            break
+    if level is not balance:
+        unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))
+        attempt = replace(attempt, unknowns=unknowns, residual=float(np.linalg.norm(balance.residual(unknowns))))
     if not attempt.converged and held:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
     return replace(attempt, iterations=steps)

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.inexact_step import is_large, iterate
 from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.walking import WALKS, walks
 
@@ -32,6 +33,7 @@ STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
 # step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
 # residual fall, there are new or double factors.
 REFINE_FROM, REFINEMENTS = 500, 10
+FAR_ITERATIONS = 60  # to the same tolerance without such factors (``inexact_step.py``): a twentieth of their time
 FAR_TOLERANCE, CLOSE_TOLERANCE, ROUGH_TOLERANCE = 0.25, 1e-4, 1e-10
 
 
@@ -214,8 +216,8 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
-            reused = self._reuse_factors(ksp, f, step)
-            if not reused:
+            rough = self._iterate(ksp, f, step) or self._reuse_factors(ksp, f, step)
+            if not rough:
                 self._factor_anew(ksp, f, step)
             damping = 1.0
             while True:
@@ -227,14 +229,28 @@ class _HalvedNewton:
                 if found <= (1 - 1e-4 * damping) * norm:
                     break
                 damping *= 0.5
-                if damping < SMALLEST_DAMPING and reused:  # the step may be to blame
+                if damping < SMALLEST_DAMPING and rough:  # the step may be to blame
                     self._factor_anew(ksp, f, step)
-                    reused, damping = False, 1.0
+                    rough, damping = False, 1.0
                 elif damping < SMALLEST_DAMPING:
                     return snes.setConvergedReason(reason.DIVERGED_LINE_SEARCH)
             trial.copy(x)
             residual.copy(f)
             norm = found
+
+    def _iterate(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> bool:
+        """Whether far from a solution, in a large joint, GMRES gave the step without factors of the whole.
+
+        They would take long there. Without, it makes no difference whether they are eliminated or dense.
+        """
+        equations = self.equations
+        balance, linearised = equations.balance, equations.step
+        if not (equations.far and is_direct(ksp) and is_large(balance, linearised)):
+            return False
+        found = iterate(balance, linearised, right_side.array_r, FAR_TOLERANCE, FAR_ITERATIONS, equations.shift)
+        if found is not None:
+            step.array[:] = found
+        return found is not None
 
     def _reuse_factors(self, ksp: PETSc.KSP, right_side: PETSc.Vec, step: PETSc.Vec) -> bool:
         """Whether the factors of an earlier step gave this one."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS
 
-from ewr_fenicsx import ContactProblem, snes, solve
+from ewr_fenicsx import ContactProblem, inexact_step, snes, solve
 from ewr_fenicsx.balance import HarmonicBalance
 
 
@@ -113,3 +113,34 @@ def test_no_run_ends_for_a_step_that_old_factors_gave(monkeypatch):
     monkeypatch.setattr(snes, "refine", refine)
     found = solve(problem)
     assert len(useless) > 1 and found.converged and found.iterations == exact.iterations and found.fallbacks == ()
+
+
+@pytest.mark.parametrize("linear_solver", ["elimination", "dense"])
+def test_far_from_a_solution_large_joints_take_steps_without_factors_of_the_whole(linear_solver, monkeypatch):
+    """The same solution from fewer factorisations; exact steps take over where GMRES does not get there."""
+    made, gone_far, original = [], [], snes._HalvedNewton._factor_anew
+
+    def record(self, *arguments):
+        made.append(self.equations.far)
+        return original(self, *arguments)
+
+    def iterate(*arguments):
+        gone_far.append(inexact_step.iterate(*arguments))
+        return gone_far[-1]
+
+    monkeypatch.setattr(snes._HalvedNewton, "_factor_anew", record)
+    monkeypatch.setattr(snes, "iterate", iterate)
+    problem = replace(PROBLEMS["floating, slip"], harmonics=15)
+    exact = solve(problem, tolerance=1e-11, linear_solver=linear_solver)
+    assert made.count(True) > 1 and not gone_far
+    of_exact = made.copy()
+    monkeypatch.setattr(inexact_step, "FEW", 0)
+    made.clear()
+    found = solve(problem, tolerance=1e-11, linear_solver=linear_solver)
+    assert gone_far and all(step is not None for step in gone_far)
+    assert made.count(True) == 0 and len(made) < len(of_exact)
+    np.testing.assert_allclose(found.forces, exact.forces, atol=1e-9 * np.abs(exact.forces).max())
+    monkeypatch.setattr(snes, "FAR_ITERATIONS", 1)
+    made.clear()
+    again = solve(problem, tolerance=1e-11, linear_solver=linear_solver)
+    assert made == of_exact and again.iterations == exact.iterations

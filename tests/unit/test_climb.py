@@ -1,0 +1,47 @@
+"""Cold starts through growing sets of harmonics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import dovetail
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ladder
+from ewr_fenicsx.balance import HarmonicBalance
+
+
+@pytest.fixture
+def visited(monkeypatch) -> list[int]:
+    """Highest harmonics of the sets below the last one that are tried; up to 15 there is no solution."""
+    tops: list[int] = []
+    original = ladder.run_newton
+
+    def run(level, *arguments, **options):
+        tops.append(level.basis.orders[-1])
+        attempt = original(level, *arguments, **options)
+        return replace(attempt, converged=attempt.converged and tops[-1] != 15, reason="none here")
+
+    monkeypatch.setattr(ladder, "run_newton", run)
+    return tops
+
+
+@pytest.fixture(scope="module")
+def balance() -> HarmonicBalance:
+    return HarmonicBalance(ContactProblem(dovetail(), ContactLaws(friction=0.3), 600.0, 31).system)
+
+
+def test_no_larger_set_is_tried_where_there_is_no_solution(balance, visited):
+    """What is found there stands in the whole set, with harmonics that are left at zero, and its residual."""
+    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS)
+    assert visited == [5, 15] and not found.converged
+    assert found.reason == "none here; harmonics up to 5 were solved for"
+    forces = balance.unpack(found.unknowns)[0]
+    assert np.all(np.any(forces[:16], axis=1)) and not np.any(forces[16:])
+    assert found.residual == np.linalg.norm(balance.residual(found.unknowns))
+
+
+def test_all_sets_are_tried_where_that_is_asked_for(balance, visited):
+    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, all_sets=True)
+    assert visited == [5, 15] and found.converged and found.residual <= 1e-8
