@@ -28,6 +28,9 @@ from ewr_fenicsx.newton_step import NewtonStep
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
 HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
+# Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
+# gaps that do close take less, and pairs slip before they hold a resonance; of order one, for contact forces are, too.
+MOST = 3.0
 LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
 
 
@@ -112,8 +115,8 @@ class HarmonicBalance:
 
         Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. That may take forces beside
         which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
-        resonance: the unit is at most the norm of the forces that hold the pairs where they are, each row by itself
-        where they oscillate.
+        resonance: the unit is at most ``MOST`` times the norm of the forces that hold the pairs where they are, each
+        row by itself where they oscillate.
         """
         if self._force_unit:
             return self._force_unit
@@ -127,7 +130,7 @@ class HarmonicBalance:
             np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
         )
         unit = float(np.linalg.norm(stick))
-        return min(unit, float(usual) or unit) or 1.0
+        return min(unit, float(MOST * usual) or unit) or 1.0
 
     @cached_property
     def firm(self) -> HarmonicBalance:

@@ -130,8 +130,8 @@ def climb(
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
-    are any. A set that no solution is found with is the last, unless ``all_sets`` are to be tried: hardly any larger
-    one has one that is found from there.
+    are any. In large joints a set on which nothing comes near a solution is the last, unless ``all_sets`` are to be
+    tried: on larger ones steps take long, and hardly any solution is found from there.
     """
     below, attempt, steps, held = None, None, 0, None
     for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
@@ -153,7 +153,7 @@ def climb(
         below = level
         if attempt.converged:
             held = orders[-1]
-        elif not all_sets:
+        elif balance.size > LARGEST_TRACED and attempt.residual > CORNERED[1] and not all_sets:
             break
     if level is not balance:
         unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))

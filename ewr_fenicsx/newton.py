@@ -88,8 +88,8 @@ def solve(
     Args:
         problem: The problem.
         start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
-        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what they
-            are where gaps stay open and nothing resonates, if that is less; from 1e-13 to 1e-3.
+        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what
+            they are where gaps stay open and nothing resonates, times three, if that is less; from 1e-13 to 1e-3.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
         fallbacks: Whether to go on to the next rung where the first one fails: the given start, cold the first climb.

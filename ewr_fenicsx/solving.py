@@ -28,8 +28,8 @@ def solve(
     Args:
         problem: The problem.
         start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
-        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what they
-            are where gaps stay open and nothing resonates, if that is less; from 1e-13 to 1e-3.
+        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what
+            they are where gaps stay open and nothing resonates, times three, if that is less; from 1e-13 to 1e-3.
         accuracy: Largest relative error of the outputs that is asked for: harmonics, samples and weights are then
             chosen, not the problem's own (``solve_to_accuracy`` says how, and returns more). None: the problem's.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian

@@ -313,7 +313,7 @@ def test_rounded_corners_are_begun_where_newton_stalled():
     found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS).unknowns
     rng, steps = np.random.default_rng(1), []
     for _ in range(12):
-        nearby = found + 1e-6 * rng.standard_normal(balance.size) / np.sqrt(balance.size)
+        nearby = found + 1e-5 * rng.standard_normal(balance.size) / np.sqrt(balance.size)
         residual = float(np.linalg.norm(balance.residual(nearby)))
         stalled = Attempt(nearby, residual, 0, "stalled", converged=False)
         sharpened = [

@@ -13,7 +13,13 @@ from ewr_fenicsx.balance import HarmonicBalance
 
 
 @pytest.fixture
-def visited(monkeypatch) -> list[int]:
+def distance() -> list[float]:
+    """Residual that is left with harmonics up to 15."""
+    return [0.1]
+
+
+@pytest.fixture
+def visited(monkeypatch, distance) -> list[int]:
     """Highest harmonics of the sets below the last one that are tried; up to 15 there is no solution."""
     tops: list[int] = []
     original = ladder.run_newton
@@ -21,7 +27,9 @@ def visited(monkeypatch) -> list[int]:
     def run(level, *arguments, **options):
         tops.append(level.basis.orders[-1])
         attempt = original(level, *arguments, **options)
-        return replace(attempt, converged=attempt.converged and tops[-1] != 15, reason="none here")
+        if tops[-1] != 15:
+            return attempt
+        return replace(attempt, converged=False, residual=distance[0], reason="none here")
 
     monkeypatch.setattr(ladder, "run_newton", run)
     return tops
@@ -32,8 +40,9 @@ def balance() -> HarmonicBalance:
     return HarmonicBalance(ContactProblem(dovetail(), ContactLaws(friction=0.3), 600.0, 31).system)
 
 
-def test_no_larger_set_is_tried_where_there_is_no_solution(balance, visited):
+def test_in_large_joints_no_larger_set_is_tried_where_there_is_no_solution(balance, visited, monkeypatch):
     """What is found there stands in the whole set, with harmonics that are left at zero, and its residual."""
+    monkeypatch.setattr(ladder, "LARGEST_TRACED", balance.size - 1)
     found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS)
     assert visited == [5, 15] and not found.converged
     assert found.reason == "none here; harmonics up to 5 were solved for"
@@ -42,6 +51,11 @@ def test_no_larger_set_is_tried_where_there_is_no_solution(balance, visited):
     assert found.residual == np.linalg.norm(balance.residual(found.unknowns))
 
 
-def test_all_sets_are_tried_where_that_is_asked_for(balance, visited):
-    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, all_sets=True)
+@pytest.mark.parametrize(("left", "large", "all_sets"), [(0.1, True, True), (0.1, False, False), (1e-3, True, False)])
+def test_all_sets_are_tried_in_small_joints_next_to_a_solution_or_where_that_is_asked_for(
+    balance, visited, distance, monkeypatch, left, large, all_sets
+):
+    distance[0] = left
+    monkeypatch.setattr(ladder, "LARGEST_TRACED", balance.size - large)
+    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, all_sets=all_sets)
     assert visited == [5, 15] and found.converged and found.residual <= 1e-8
