@@ -111,15 +111,16 @@ class HarmonicBalance:
 
     @cached_property
     def force_unit(self) -> float:
-        """Force that counts as one [N]: the norm of the full-stick forces where none was given.
+        """Force that counts as one [N]: what full stick takes, up to ``MOST`` times the usual, where none was given."""
+        return self._force_unit or self.measure_stick(MOST)
+
+    def measure_stick(self, most: float) -> float:
+        """Norm of the full-stick forces, up to ``most`` times the usual [N]; one where there are none.
 
         Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. That may take forces beside
         which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
-        resonance: the unit is at most ``MOST`` times the norm of the forces that hold the pairs where they are, each
-        row by itself where they oscillate.
+        resonance. Usual is what holds the pairs where they are, each row by itself where they oscillate.
         """
-        if self._force_unit:
-            return self._force_unit
         held = stick = self.full_stick[0]
         targets = [law.static_target for law in self.system.laws if law.static_target is not None]
         if any(np.any(target < 0) for target in targets):
@@ -130,7 +131,7 @@ class HarmonicBalance:
             np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
         )
         unit = float(np.linalg.norm(stick))
-        return min(unit, float(MOST * usual) or unit) or 1.0
+        return min(unit, float(most * usual) or unit) or 1.0
 
     @cached_property
     def firm(self) -> HarmonicBalance:

@@ -31,9 +31,9 @@ TRACED_POINTS, LOOKS_BACK = 600, 10  # points; how often it is looked whether th
 # Distances of a traced point, in steps, from which it is another branch's: a wide one may leap to a branch near by, of
 # which a narrow one keeps clear
 STRAYS = (3.0, 1.5)
-# Forces count little in arc length, as the stuck joint's: up to so many times the unit that residuals are measured by.
-# In shorter steps through frequency the tracer turns round every corner of a wriggle.
-LONGEST_UNIT = 333.0
+# Forces count little in arc length: they are measured by those of the stuck joint, up to so many times the usual. In
+# shorter steps through frequency the tracer turns round every corner of a wriggle.
+MOST_STUCK = 1e3
 CLOSED = "the branch is a closed curve"  # which no other way leads out of
 BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
@@ -259,9 +259,7 @@ class Follower:
         self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float
     ) -> tuple[list[PeriodicSolution], str]:
         """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
-        first = HarmonicBalance(here.problem.system)
-        stuck = float(np.linalg.norm(first.full_stick[0])) or first.force_unit
-        unit = min(stuck, LONGEST_UNIT * first.force_unit)
+        unit = HarmonicBalance(here.problem.system).measure_stick(MOST_STUCK)
         span = self.highest - self.lowest
         least, most = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest), self.highest + BEYOND * span
 
