@@ -1,0 +1,133 @@
+"""Degenerate cases by name: limits met exactly, no load, no preload, and redundant, stiff or identical pairs."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, solve
+from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.elimination import REDUNDANCY
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from degenerate_cases import DEGENERATE, press_one_pair, shake_dovetail
+from hard_cases import TOLERANCE, run_case
+
+MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
+
+
+@cache
+def solve_degenerate(name: str) -> PeriodicSolution:
+    """Solved once for all tests that look at it."""
+    return solve(DEGENERATE[name]())
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n == MANY else ()) for n in DEGENERATE])
+def test_degenerate_cases_are_solved(name):
+    outcome = run_case(name, DEGENERATE[name], cap=120.0)
+    assert outcome.status == "converged", outcome.reason
+    assert outcome.residual <= 1.01 * TOLERANCE
+
+
+@pytest.mark.parametrize("name", ["a pair is just about to lift off", "friction limit met exactly"])
+def test_limits_met_exactly_change_nothing(name):
+    """The full-stick solution still holds where a pair touches the edge of its law once a period."""
+    solution = solve_degenerate(name)
+    stick, _ = HarmonicBalance(solution.problem.system).full_stick
+    np.testing.assert_allclose(solution.forces, stick, atol=1e-7 * np.abs(stick).max())
+    still = solution.history("slip") if "friction" in name else solution.history("gap")
+    moved = solution.coordinates[1]
+    assert np.abs(still - still[0]).max() < 1e-7 * np.abs(moved).max()
+
+
+def test_a_pair_that_just_touches_can_lift():
+    """Nothing presses the last pair at rest; shaken, it opens and closes within the truncation."""
+    solution = solve_degenerate("a pair just touches at rest")
+    gap, force = solution.history("gap")[:, -1], solution.history("normal_force")
+    scale = np.abs(gap).max()
+    assert scale > 0 and gap.min() > -0.3 * scale and force[:, -1].min() > -0.05 * force.max()
+    assert np.any(gap > 0.5 * scale) and np.any(force[:, -1] > 0.01 * force.max())
+
+
+def test_without_excitation_nothing_moves():
+    solution = solve_degenerate("zero excitation")
+    assert np.abs(solution.forces[1:]).max() < 1e-9 * np.abs(solution.forces[0]).max()
+    assert solution.history("normal_force").min() > 0
+    idle = solve_degenerate("zero excitation, zero preload")
+    assert np.all(idle.forces == 0.0) and np.all(idle.history("gap") == 0.0)
+
+
+def test_without_preload_the_answer_scales_with_the_load():
+    """No length, no force in the problem but the load: a shake of nanonewtons has the same shape as one of newtons."""
+    strong, weak = (solve_degenerate(f"zero preload, body held, {word}") for word in ("shaken", "barely shaken"))
+    np.testing.assert_allclose(weak.forces * 5e9, strong.forces, atol=1e-6 * np.abs(strong.forces).max())
+    assert strong.merit["energy_error"] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["redundant pairs", "one pair of six twice"])
+def test_redundant_pairs_share_what_one_would_carry(name):
+    single = solve(replace(shake_dovetail(), rho_normal=None))
+    double = solve_degenerate(name)
+    np.testing.assert_allclose(
+        double.output("tip"), single.output("tip"), atol=2e-2 * np.abs(single.output("tip")).max()
+    )
+    total = double.pair_forces["normal"][0].real.sum()
+    assert total == pytest.approx(single.pair_forces["normal"][0].real.sum(), rel=1e-2)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.6])
+@pytest.mark.parametrize("off", [1e-5, 1e-4])
+def test_redundant_pairs_next_to_a_resonance_act_as_one(friction, off):
+    """There pairs give way thousandfold more than at rest, and what tells redundant ones apart is beyond rounding."""
+
+    def swing(pairs: int) -> np.ndarray:
+        model = ReducedModel(
+            [[1.0]], [[1e-6]], [[1.0]], tangential=[[1.0]] * pairs, load={1: [1.0]}, outputs={"m": [1]}
+        )
+        laws = ContactLaws("prescribed", normal_force=2.0 / pairs, friction=friction)
+        problem = ContactProblem(model, laws, (1 + off) / (2 * np.pi), (1, 3, 5), closure="dashpot")
+        return solve(problem).output("m")
+
+    np.testing.assert_allclose(swing(2), swing(1), rtol=1e-6, atol=1e-9)
+
+
+def test_a_stiff_pair_weighs_no_more_than_a_soft_one():
+    """Pairs that share nothing, with stiffnesses over ten decades: all answer alike, each in its own scale."""
+    solution = solve_degenerate("compliance condition 1e10")
+    H = solution.problem.system.compliance.flexibility[0]
+    assert np.linalg.cond(H) > 0.9e10
+    forces = solution.pair_forces["normal"]
+    assert np.all(np.isfinite(forces)) and forces[0].real == pytest.approx(np.full(8, forces[0, 0].real), rel=0.5)
+
+
+def test_preloads_span_as_much_as_areas():
+    """Pressed evenly, from 0.05 to 549 N: to what holding redundant rows in place costs each, a 1e-7th at most."""
+    problem = DEGENERATE["areas spanning 1e4"]()
+    area, balance = problem.model.pair_area, HarmonicBalance(problem.system)
+    assert area.max() / area.min() == pytest.approx(1e4)
+    preload, normal = 700.0 * area / area.sum(), slice(0, area.size)
+    flexibility = problem.system.compliance.flexibility[0, normal, normal].real
+    held = REDUNDANCY * np.diag(problem.system.flexibility[normal])
+    allowed = 2 * np.abs(np.linalg.solve(flexibility, held)) @ preload
+    assert np.all(allowed < 1e-7 * preload)
+    assert np.all(np.abs(balance.full_stick[0][0, normal].real - preload) < allowed)
+
+
+@pytest.mark.parametrize("pairs, harmonics", [(10, 1), (10, 5), (50, 5), pytest.param(1000, 1, marks=pytest.mark.slow)])
+def test_identical_pairs_act_as_one(pairs, harmonics):
+    """Their forces add up, and so does what their weights stand for: springs and dashpots side by side."""
+    known = {(50, 5): "fifty identical pairs", (1000, 1): MANY}.get((pairs, harmonics))
+    many = solve_degenerate(known) if known else solve(press_one_pair(pairs, harmonics))
+    assert (many.problem.model.pairs, many.orders[-1]) == (pairs, harmonics)
+    normal, tangential = (law.rho[0] for law in many.problem.system.laws)
+    single = replace(press_one_pair(1, harmonics), rho_normal=pairs * normal, rho_tangential=tangential / pairs)
+    one = solve(single)
+    np.testing.assert_allclose(many.output("tip"), one.output("tip"), atol=1e-6 * np.abs(one.output("tip")).max())
+    total = many.pair_forces["normal"].sum(axis=1)
+    np.testing.assert_allclose(total, one.pair_forces["normal"][:, 0], atol=1e-6 * np.abs(total).max())
