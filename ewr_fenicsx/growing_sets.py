@@ -1,9 +1,11 @@
-"""Growing sets of harmonics: what is found with few of them starts a solve, or a splitting, with more."""
+"""Growing sets of harmonics, or of samples: what is found with few starts a solve, or a splitting, with more."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
+from itertools import count, takewhile
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.splitting import Splitting, come_near, resample
 
 SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
+# Samples a period to begin with, at least, and times the highest harmonic: with fewer, solutions are other ones
+FEW_SAMPLES, FEW_A_HARMONIC = 16, 3
 
 
 def restrict(balance: HarmonicBalance, orders: tuple[int, ...]) -> HarmonicBalance:
@@ -37,6 +41,19 @@ def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: 
     for j, h in enumerate(below.basis.orders):
         forces[level.basis.orders.index(h)] = found[0][j]
     return forces, found[1]
+
+
+def choose_samples(balance: HarmonicBalance) -> list[int]:
+    """Growing numbers of samples a period, from the few that harmonics need to those of the balance."""
+    highest, most = max(balance.basis.orders[-1], *balance.system.prescribed, 0), balance.basis.samples
+    few = max(FEW_SAMPLES, 1 << (FEW_A_HARMONIC * highest - 1).bit_length())
+    return [*takewhile(lambda n: n < most, (few << doublings for doublings in count())), most]
+
+
+def sample_anew(balance: HarmonicBalance, samples: int) -> HarmonicBalance:
+    """The balance, of the same unknowns, with its laws seen at so many samples a period."""
+    basis = replace(balance.basis, samples=samples)
+    return HarmonicBalance(replace(balance.system, basis=basis), balance.force_unit)
 
 
 def come_near_through_sets(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> Iterator[RealArray]:

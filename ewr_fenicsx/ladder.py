@@ -8,19 +8,16 @@ are all the Newton steps that the way took:
 3. ``step_over_corners``: whole Newton steps from a corner next to a solution.
 4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
 5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
-6. ``grow_load`` and ``trace_load``: the oscillating load from a small share to the whole, past folds; in small joints
-   from corner to corner.
 
-Where Newton's method stalls next to a solution, ``newton_path.py`` goes on over corners.
-``start_cold`` is the first, or else the second, through more sets of harmonics where few end next to a solution.
-``climb`` takes 3., 4. and 6. along: through more sets of harmonics, with these on any set where Newton stalls.
+``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
+``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second, through more sets of harmonics
+where few end next to a solution. ``climb`` takes others along: through more sets, with these where Newton stalls.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -31,7 +28,7 @@ from ewr_fenicsx.continuation import BalanceAt, BranchPoint, trace_branch
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
 from ewr_fenicsx.long_splitting import split_at_length
-from ewr_fenicsx.newton_path import can_follow, follow_path, run_and_follow
+from ewr_fenicsx.newton_path import can_follow, run_and_follow
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.splitting import Splitting, can_split
@@ -47,8 +44,6 @@ COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
 # Residuals at a corner from which whole steps may lead on (less is rounding), and how many: fewer do, or none
 CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
-FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its growth starts
-LARGEST_GROWN, GROWN_CORNERS = 100, 16000  # unknowns where it grows from corner to corner, and corners: some seconds
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 BEGUN = 0.15  # share of the way that a branch is taken to have gone at least, where its pace is looked at
 BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
@@ -225,7 +220,7 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
     reached = (
         f"corners as sharp as {width:.0e} of the contact forces" if width < np.inf else "no corners were blunt enough"
     )
-    return _choose(failed, attempt, steps, reached)
+    return choose_better(failed, attempt, steps, reached)
 
 
 def _round_until_solved(at: BalanceAt, start: RealArray, widths: Sequence[float]) -> tuple[BranchPoint | None, int]:
@@ -278,57 +273,6 @@ def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -
     return follow(balance, at, 0.0, attempt.unknowns, tolerance, counted, what, DAMPED_POINTS)
 
 
-def grow_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """From corner to corner while the oscillating load grows from a small share to the whole.
-
-    Where there is one solution at the begin, and damping bounds all motion on the way, that has no other end than a
-    solution, but for coincidences. It has thousands of corners: a way for small joints.
-
-    Returns:
-        The solution, or the better of the way's end and the ``failed`` attempt; the steps of both counted.
-    """
-    first, begun = _begin_with_little_load(balance, tolerance)
-    steps = failed.iterations + begun.iterations
-    path = follow_path(balance.firm, begun.unknowns, tolerance, GROWN_CORNERS, first) if begun.converged else None
-    if path is None:
-        return replace(failed, iterations=steps, reason=f"no way from {FIRST_LOAD_SHARE:.0%} of the oscillating load")
-    found = run_newton(balance, path.unknowns, tolerance, "elimination", WARM_STEPS, near=True)
-    steps += path.iterations + found.iterations
-    told = "grown from corner to corner" if path.converged else path.reason
-    return _choose(failed, found, steps, f"the oscillating load: {told}")
-
-
-def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """Follow the solution from a small share of the oscillating load to the whole.
-
-    Returns:
-        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
-    """
-    if balance.size > LARGEST_TRACED:
-        return failed
-    _, begun = _begin_with_little_load(balance, tolerance)
-    counted = replace(failed, iterations=failed.iterations + begun.iterations)
-    if not begun.converged:
-        return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
-    at = partial(load_by_share, balance)
-    return follow(balance, at, FIRST_LOAD_SHARE, begun.unknowns, tolerance, counted, "of the oscillating load")
-
-
-def load_by_share(balance: HarmonicBalance, share: float) -> HarmonicBalance:
-    """The firm balance under a share of its oscillating load."""
-    compliance = balance.compliance
-    oscillates = np.array(balance.basis.orders) > 0
-    motion = np.where(oscillates[:, None], share * compliance.free_motion, compliance.free_motion)
-    system = replace(balance.system, compliance=replace(compliance, free_motion=motion))
-    return HarmonicBalance(system, balance.force_unit, FIRM)
-
-
-def _begin_with_little_load(balance: HarmonicBalance, tolerance: float) -> tuple[HarmonicBalance, Attempt]:
-    """The balance where a growing load begins, and Newton's attempt at it from full stick."""
-    first = load_by_share(balance, FIRST_LOAD_SHARE)
-    return first, run_newton(first, first.pack(*first.full_stick), tolerance, "elimination")
-
-
 def follow(
     goal: HarmonicBalance,
     balance_at: BalanceAt,
@@ -367,15 +311,15 @@ def follow(
         steps += attempt.iterations
         looks += 1
         if attempt.converged or looks > SECOND_LOOKS:
-            return _choose(failed, attempt, steps, f"traced to {here.parameter:.0%} {what} and beyond")
+            return choose_better(failed, attempt, steps, f"traced to {here.parameter:.0%} {what} and beyond")
         reach *= 0.3  # the last step was too long to interpolate in: again, shorter
         branch = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance)
     residual = float(np.linalg.norm(goal.residual(here.unknowns)))
     last = Attempt(here.unknowns, residual, 0, "", residual <= tolerance)
-    return _choose(failed, last, steps, f"the branch was lost or too long at {here.parameter:.0%} {what}")
+    return choose_better(failed, last, steps, f"the branch was lost or too long at {here.parameter:.0%} {what}")
 
 
-def _choose(failed: Attempt, attempt: Attempt, steps: int, how: str) -> Attempt:
+def choose_better(failed: Attempt, attempt: Attempt, steps: int, how: str) -> Attempt:
     """A rung's attempt if it converged, else the better of both; with all Newton steps and how it went."""
     better = attempt if attempt.converged else min(failed, attempt)
     return replace(better, iterations=steps, reason=f"{how}: {attempt.reason}" if attempt.reason else how)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.newton_path import RANK, follow_path, limit_corners, run_and_follow
+from ewr_fenicsx.newton_path import SHORT, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver
 from ewr_fenicsx.splitting import NEAR_ENOUGH, Effort, Split, Splitting, are_projections, resample, settle
 from ewr_fenicsx.warm_starts import pick_first
@@ -57,7 +57,7 @@ def _arrive(
     """Attempts from starts: a short path while closer ones follow; from the last a long one, and a run of Newton."""
     steps = 0
     for start, last in starts:
-        path = follow_path(balance, start, tolerance, limit_corners(balance) if last else RANK)
+        path = follow_path(balance, start, tolerance, limit_corners(balance) if last else SHORT)
         if path is not None:
             steps += path.iterations
             yield path

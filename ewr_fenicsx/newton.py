@@ -15,23 +15,21 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
+from ewr_fenicsx.growing_load import grow_load, trace_load
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     COARSE_TOLERANCE,
     FINE_LEVELS,
     LARGEST_DAMPED,
-    LARGEST_GROWN,
     LARGEST_TRACED,
     SPRING_LEVELS,
     SPRING_TOLERANCE,
     begin_at_full_stick,
     climb,
-    grow_load,
     sharpen_corners,
     start_cold,
     step_over_corners,
     trace_damping,
-    trace_load,
 )
 from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.newton_path import can_follow
@@ -75,13 +73,13 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
     harmonics, each starting at the one before; from where a few periods of time stepping end, and a long splitting
-    leads from there; in small joints, along Newton's path while the oscillating load grows; laws with rounded corners
-    that are sharpened along their branch; damping traced from where little can bounce to the model's own; rounded
-    corners through more sets of harmonics, with the oscillating load traced from a small share to the whole, past
-    folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are far from the
-    default ones, are come to from a solution with these, which takes all these rungs and is the answer itself where no
-    way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
-    (``newton_path.py``); each factorisation counts as a Newton step.
+    leads from there; along Newton's path while the oscillating load grows, with few samples a period first; laws with
+    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
+    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
+    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are
+    far from the default ones, are come to from a solution with these, which takes all these rungs and is the answer
+    itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to
+    corner (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -187,7 +185,7 @@ def list_rungs(
         return
     yield cold
     yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
-    if problem.frequency and balance.size <= LARGEST_GROWN and can_follow(balance):
+    if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))

@@ -30,7 +30,8 @@ from ewr_fenicsx.law_kinds import Law, Motion, Response
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 
-RANK = 100  # corners after which the Jacobian is factored anew: by then they cost more than that
+RANK = 250  # corners after which the Jacobian is factored anew: by then they cost as much as that, or more
+SHORT = 100  # corners of a path at most that is tried on the way to a better start
 CORNERS, WORK = 2500, 10**6  # of a path at most, and times the unknowns: some seconds
 TRIED = 500  # corners after which a path is left that is not on its way: those that arrive mostly lie evenly on theirs
 BEHIND, LOST = -1.0, 1e4  # where a path is left: its parameter, and the norm of the unknowns, which are of order one
@@ -68,6 +69,7 @@ def follow_path(
     tolerance: float,
     most: int,
     loaded_less: HarmonicBalance | None = None,
+    tried: int = TRIED,
 ) -> Attempt | None:
     """Follow Newton's path from a start; each factorisation counts as a Newton step, and serves ``RANK`` corners.
 
@@ -77,6 +79,7 @@ def follow_path(
         tolerance: Residual norm accepted.
         most: Corners at most.
         loaded_less: The same under other loads, near whose solution it starts: on the way these grow to the balance's.
+        tried: Corners that it may take before it has to be on its way, as it need not be where loads grow.
 
     Returns:
         The solution, or how far the path went; None where some law does not tell its corners.
@@ -84,7 +87,7 @@ def follow_path(
     if not can_follow(balance):
         return None
     path = _Path(balance, start, loaded_less or balance)
-    why = path.follow(tolerance, most)
+    why = path.follow(tolerance, most, tried)
     found = run_newton(balance, path.unknowns, tolerance, "elimination", 0, near=True)  # looks whether it walks
     reason = found.reason if found.converged or found.walks else why
     return replace(found, iterations=path.factored, reason=reason)
@@ -107,17 +110,22 @@ class RankOneUpdates:
         size = factors.solution.size
         self.factors, self.count = factors, 0
         self.moved, self.seen = np.zeros((2, RANK, size))  # J^-1 u, and w
-        self.small = np.eye(RANK)  # 1 + W^T J^-1 U
+        self.inverse = np.zeros((RANK, RANK))  # of 1 + W^T J^-1 U
 
     def add(self, u: RealArray, w: RealArray) -> tuple[RealArray, float]:
         """Add ``u w^T``; ``u`` solved for with the matrix of before, and the determinant over that of before."""
         k, column = self.count, self.factors.solve(u)
         self.moved[k], self.seen[k] = column, w
-        self.small[k, : k + 1] += self.moved[: k + 1] @ w
-        self.small[:k, k] = self.seen[:k] @ column
-        shares = np.linalg.solve(self.small[:k, :k], self.small[:k, k])
+        inverse = self.inverse[:k, :k]
+        shares, across = inverse @ (self.seen[:k] @ column), (self.moved[:k] @ w) @ inverse
+        column = column - shares @ self.moved[:k]
+        ratio = float(1.0 + w @ column)
+        with np.errstate(divide="ignore", invalid="ignore"):  # whoever asks looks at the ratio
+            inverse += np.divide(np.outer(shares, across), ratio)
+            self.inverse[k, :k], self.inverse[:k, k] = np.divide(-across, ratio), np.divide(-shares, ratio)
+            self.inverse[k, k] = np.divide(1.0, ratio)
         self.count += 1
-        return column - shares @ self.moved[:k], float(self.small[k, k] - self.small[k, :k] @ shares)
+        return column, ratio
 
 
 class _Path:
@@ -132,10 +140,10 @@ class _Path:
         self.still = self._look(np.zeros_like(start), balance.compliance.free_motion)
         self.sides = [corners > 0 for corners in self._look_here()]
 
-    def follow(self, tolerance: float, most: int) -> str:
+    def follow(self, tolerance: float, most: int, tried: int = TRIED) -> str:
         """Go on until the residual is small enough, or the path is left; says why it ended."""
         sense, left = 1.0, np.inf if self.grows else float(np.linalg.norm(self.begin))
-        tried = most if self.grows else TRIED
+        tried = most if self.grows else tried
         while True:
             try:
                 step = NewtonStep(self.balance, self._differentiate(), self.begin)

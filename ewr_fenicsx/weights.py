@@ -19,7 +19,7 @@ from ewr_fenicsx.continuation import BalanceAt
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.ladder import BEHIND, LARGEST_TRACED, follow
 from ewr_fenicsx.long_splitting import split_at_length
-from ewr_fenicsx.newton_path import RANK, run_and_follow
+from ewr_fenicsx.newton_path import SHORT, run_and_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
 from ewr_fenicsx.warm_starts import WARM_STEPS, go_on_from
@@ -87,7 +87,7 @@ def approach_weights(
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
     if joined:
-        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=RANK)
+        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
         steps = last.iterations
         if last.converged:
             return last

@@ -15,7 +15,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, newton_path, solve
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.ladder import load_by_share
+from ewr_fenicsx.growing_load import load_by_share
 from ewr_fenicsx.law_kinds import Motion
 from ewr_fenicsx.newton_path import RANK, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.newton_step import Factorisation
@@ -74,14 +74,13 @@ def test_corner_functions_are_linear(name):
 
 
 @pytest.mark.parametrize(("name", "far"), [("contact", 1e-3), ("both", 0.01), ("friction", 3.0)])
-def test_it_ends_at_the_solution(name, far, monkeypatch):
+def test_it_ends_at_the_solution(name, far):
     """Over many corners and without a line search; under forces that only friction has to find, from anywhere."""
-    monkeypatch.setattr(newton_path, "TRIED", 20_000)
     problem = pose(LAWS[name])
     balance, solution = HarmonicBalance(problem.system), solve(problem)
     expected = balance.pack(solution.forces, solution.rigid)
     start = expected + far * np.random.default_rng(5).normal(size=balance.size) / np.sqrt(balance.size)
-    found = follow_path(balance, start, 1e-9, 20_000)
+    found = follow_path(balance, start, 1e-9, 20_000, tried=20_000)
     assert found.converged and found.iterations >= 1
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-9
     np.testing.assert_allclose(found.unknowns, expected, atol=1e-5 * np.linalg.norm(expected))
@@ -176,15 +175,14 @@ def test_it_arrives_where_newton_stalls():
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
 
 
-def test_it_turns_at_folds(balance, monkeypatch):
+def test_it_turns_at_folds(balance):
     """Where the determinant changes sign the residual grows for a while, and the path goes on."""
-    monkeypatch.setattr(newton_path, "TRIED", 2000)
     start = balance.pack(*balance.full_stick)
     start += 0.3 * np.random.default_rng(7).normal(size=balance.size) / np.sqrt(balance.size)
     path = newton_path._Path(balance, start, balance)
     shares, cross = [], path._cross
     path._cross = lambda *at: shares.append(path.share) or cross(*at)
-    path.follow(1e-8, 2000)
+    path.follow(1e-8, 2000, tried=2000)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(shares))[np.diff(shares) != 0]))
     assert turns.size > 1
     np.testing.assert_allclose(balance.residual(path.unknowns), (1 - path.share) * path.begin, atol=1e-9)

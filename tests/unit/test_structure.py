@@ -26,6 +26,7 @@ ORDER = [
     "deviations", "hill", "floquet", "walking", "loading_history", "indicators", "periodic_motion", "solution",
     "contact_state", "periodicity", "snes", "initial_states", "progress", "time_integration", "symmetry",
     "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
+    "growing_load",
     "weights", "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "solving", "cost", "task_sharing",
     "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep", "archard",
     "wear_store", "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure",

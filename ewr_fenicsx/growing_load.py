@@ -1,0 +1,120 @@
+"""The oscillating load grows from a small share to the whole, past folds: two more rungs of the ladder.
+
+- ``grow_load``: from corner to corner, with few samples a period first.
+- ``trace_load``: by arc length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ewr_fenicsx.balance import FIRM, HarmonicBalance
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.growing_sets import choose_samples, sample_anew
+from ewr_fenicsx.ladder import (
+    COARSE_LEVELS,
+    COARSE_STEPS,
+    COARSE_TOLERANCE,
+    LARGEST_TRACED,
+    choose_better,
+    follow,
+    start_cold,
+)
+from ewr_fenicsx.newton_path import CLOSE, CORNERS, follow_path, run_and_follow
+from ewr_fenicsx.snes import Attempt
+from ewr_fenicsx.warm_starts import WARM_STEPS
+
+FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its growth starts
+GROWN_CORNERS, GROWN_WORK = 18000, 2 * 10**7  # corners at most, and times the unknowns: half a minute
+GROWN_AT_ONCE = 100  # unknowns up to which it grows with all samples at once where few led nowhere: some seconds
+
+
+def grow_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """From corner to corner while the oscillating load grows from a small share to the whole; then more samples.
+
+    Where there is one solution at the begin, and damping bounds all motion on the way, that has no other end than a
+    solution, but for coincidences. It has thousands of corners, the fewer the fewer samples a period the laws see. From
+    the solution with few samples, those with ever more are a few steps away, or a short path.
+
+    Returns:
+        The solution, or the ``failed`` attempt with what became of this one; the steps of both counted.
+    """
+    if balance.size > LARGEST_TRACED:
+        return failed
+    samplings, steps = [sample_anew(balance, samples) for samples in choose_samples(balance)], failed.iterations
+    at_once = [samplings[-1:]] if len(samplings) > 1 and balance.size <= GROWN_AT_ONCE else []
+    for levels in (samplings, *at_once):
+        grown = _grow(levels, tolerance)
+        steps += grown.iterations
+        if grown.converged:
+            break
+    return choose_better(failed, grown, steps, "the oscillating load")
+
+
+def _grow(levels: Sequence[HarmonicBalance], tolerance: float) -> Attempt:
+    """The load grown on the first of some balances, which differ in samples alone, and the others' solutions in turn.
+
+    An attempt that failed has an infinite residual: it is no solution of the last one.
+    """
+    few, size = levels[0], levels[0].size
+    first, begun = _begin_with_little_load(few, tolerance)
+    lost = replace(begun, residual=np.inf, reason=f"no way from {FIRST_LOAD_SHARE:.0%} of it", converged=False)
+    most = min(GROWN_CORNERS, GROWN_WORK // size)
+    path = follow_path(few.firm, begun.unknowns, tolerance, most, first) if begun.converged else None
+    if path is None:
+        return lost
+    found, steps = path, begun.iterations + path.iterations
+    if not path.residual < CLOSE:
+        return replace(lost, iterations=steps, reason=path.reason)
+    for level in levels:
+        found = _see_more(level, found.unknowns, tolerance)
+        steps += found.iterations
+        if not found.converged:
+            told = f"grown with {few.basis.samples} samples a period, lost with {level.basis.samples}"
+            return replace(lost, iterations=steps, reason=told)
+    return replace(found, iterations=steps, reason="grown from corner to corner")
+
+
+def _see_more(level: HarmonicBalance, start: RealArray, tolerance: float) -> Attempt:
+    """The solution near that with fewer samples a period: by Newton's method, or else from there along its path."""
+    run = run_and_follow(level, start, tolerance, "elimination", COARSE_STEPS, near=True)
+    path = None if run.converged else follow_path(level, start, tolerance, CORNERS, tried=CORNERS)
+    if path is None:
+        return run
+    found = run_and_follow(level, path.unknowns, tolerance, "elimination", WARM_STEPS, near=True)
+    return replace(found, iterations=run.iterations + path.iterations + found.iterations)
+
+
+def trace_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Follow the solution from a small share of the oscillating load to the whole.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    if balance.size > LARGEST_TRACED:
+        return failed
+    _, begun = _begin_with_little_load(balance, tolerance)
+    counted = replace(failed, iterations=failed.iterations + begun.iterations)
+    if not begun.converged:
+        return replace(counted, reason=f"no solution at {FIRST_LOAD_SHARE:.0%} of the oscillating load")
+    at = partial(load_by_share, balance)
+    return follow(balance, at, FIRST_LOAD_SHARE, begun.unknowns, tolerance, counted, "of the oscillating load")
+
+
+def load_by_share(balance: HarmonicBalance, share: float) -> HarmonicBalance:
+    """The firm balance under a share of its oscillating load."""
+    compliance = balance.compliance
+    oscillates = np.array(balance.basis.orders) > 0
+    motion = np.where(oscillates[:, None], share * compliance.free_motion, compliance.free_motion)
+    system = replace(balance.system, compliance=replace(compliance, free_motion=motion))
+    return HarmonicBalance(system, balance.force_unit, FIRM)
+
+
+def _begin_with_little_load(balance: HarmonicBalance, tolerance: float) -> tuple[HarmonicBalance, Attempt]:
+    """The balance where a growing load begins, and a cold start's attempt at it."""
+    first = load_by_share(balance, FIRST_LOAD_SHARE)
+    return first, start_cold(first, tolerance, "elimination", COARSE_LEVELS, COARSE_TOLERANCE)
