@@ -17,7 +17,7 @@ from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.growing_load import load_by_share
 from ewr_fenicsx.law_kinds import Motion
-from ewr_fenicsx.newton_path import RANK, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
+from ewr_fenicsx.newton_path import SHORT, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.newton_step import Factorisation
 from ewr_fenicsx.smoothing import round_corners
 from ewr_fenicsx.snes import run_newton
@@ -170,7 +170,7 @@ def test_it_arrives_where_newton_stalls():
     """With a line search: 24 steps to a residual of 2e-5. Over some corners: a factorisation."""
     case = hard_cases.Case("dovetail", 2.0, ("reached", 3.0), 0.01, 15, 1e-3, "closed", (1, 1e-3))
     balance, stalled = find_stalled(case, 12)
-    found = follow_path(balance, stalled.unknowns, 1e-8, RANK)
+    found = follow_path(balance, stalled.unknowns, 1e-8, SHORT)
     assert found.converged and found.iterations <= 2
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
 
@@ -224,7 +224,7 @@ def test_a_run_goes_on_along_the_path_only_next_to_a_solution(balance, monkeypat
 def test_laws_that_remember_tell_no_corners():
     """Their start goes on without."""
     balance = HarmonicBalance(pose(LAWS["both"], closure="spring").system)
-    assert not can_follow(balance) and follow_path(balance, np.zeros(balance.size), 1e-8, RANK) is None
+    assert not can_follow(balance) and follow_path(balance, np.zeros(balance.size), 1e-8, SHORT) is None
     assert run_and_follow(balance, balance.pack(*balance.full_stick), 1e-8, "elimination", 2).iterations == 2
 
 
@@ -277,4 +277,4 @@ def test_corners_of_another_shape_are_refused(balance, monkeypatch):
     with pytest.raises(
         ModelError, match=r"Signorini\.find_corners returns an array of shape \(6,\); give some of \(256"
     ):
-        follow_path(balance, balance.pack(*balance.full_stick), 1e-9, RANK)
+        follow_path(balance, balance.pack(*balance.full_stick), 1e-9, SHORT)
