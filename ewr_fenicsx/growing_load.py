@@ -15,15 +15,7 @@ import numpy as np
 from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.growing_sets import choose_samples, sample_anew
-from ewr_fenicsx.ladder import (
-    COARSE_LEVELS,
-    COARSE_STEPS,
-    COARSE_TOLERANCE,
-    LARGEST_TRACED,
-    choose_better,
-    follow,
-    start_cold,
-)
+from ewr_fenicsx.ladder import COARSE_STEPS, LARGEST_TRACED, choose_better, follow, start_from_splitting
 from ewr_fenicsx.newton_path import CLOSE, CORNERS, follow_path, run_and_follow
 from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.warm_starts import WARM_STEPS
@@ -115,6 +107,10 @@ def load_by_share(balance: HarmonicBalance, share: float) -> HarmonicBalance:
 
 
 def _begin_with_little_load(balance: HarmonicBalance, tolerance: float) -> tuple[HarmonicBalance, Attempt]:
-    """The balance where a growing load begins, and a cold start's attempt at it."""
+    """The balance where a growing load begins, and an attempt at it: from a splitting, or else from full stick."""
     first = load_by_share(balance, FIRST_LOAD_SHARE)
-    return first, start_cold(first, tolerance, "elimination", COARSE_LEVELS, COARSE_TOLERANCE)
+    split = start_from_splitting(first, tolerance, "elimination")
+    if split.converged:
+        return first, split
+    run = run_and_follow(first, first.pack(*first.full_stick), tolerance, "elimination", COARSE_STEPS)
+    return first, replace(run, iterations=split.iterations + run.iterations)
