@@ -15,7 +15,7 @@ import numpy as np
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
-from ewr_fenicsx.growing_load import GROWN_AT_ONCE, grow_load, trace_load
+from ewr_fenicsx.growing_load import grow_load, trace_load
 from ewr_fenicsx.ladder import (
     COARSE_LEVELS,
     COARSE_TOLERANCE,
@@ -73,13 +73,13 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
     harmonics, each starting at the one before; from where a few periods of time stepping end, and a long splitting
-    leads from there; along Newton's path while the oscillating load grows, with few samples a period first (in small
-    joints before time stepping); laws with rounded corners that are sharpened along their branch; damping traced from
-    where little can bounce to the model's own; rounded corners through more sets of harmonics, with the oscillating
-    load traced from a small share to the whole, past folds; and that tracing by itself. Weights of one's own that the
-    first climb does not find, or that are far from the default ones, are come to from a solution with these, which
-    takes all these rungs and is the answer itself where no way leads on. Where Newton's method stalls next to a
-    solution, its path leads on from corner to corner (``newton_path.py``); each factorisation counts as a Newton step.
+    leads from there; along Newton's path while the oscillating load grows, with few samples a period first; laws with
+    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
+    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
+    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are
+    far from the default ones, are come to from a solution with these, which takes all these rungs and is the answer
+    itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to
+    corner (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -184,11 +184,9 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
-    stepped = "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
-    grown = "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
-    grows = problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance)
-    ways = (stepped, grown) if balance.size > GROWN_AT_ONCE else (grown, stepped)  # the sooner, the fewer corners
-    yield from ways if grows else (stepped,)
+    yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
+    if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
+        yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     if problem.frequency and balance.size <= LARGEST_DAMPED:
