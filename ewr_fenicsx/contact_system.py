@@ -78,3 +78,7 @@ class ContactSystem:
         )
         samples = min(self.basis.samples, select_basis(orders).samples)
         return replace(self, basis=FourierBasis(orders, samples), compliance=compliance)
+
+    def sample(self, samples: int) -> ContactSystem:
+        """The same system with its laws seen at so many samples a period."""
+        return replace(self, basis=replace(self.basis, samples=samples))

@@ -268,8 +268,7 @@ class Followed(NamedTuple):
 
 def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealArray, samples: int) -> Slopes | None:
     """Derivatives of all laws at a solution; None where one is by something else than ``VARIABLES``, or remembers."""
-    sampled = replace(system, basis=replace(system.basis, samples=samples))
-    balance = HarmonicBalance(sampled, float(np.linalg.norm(forces)) or 1.0)
+    balance = HarmonicBalance(system.sample(samples), float(np.linalg.norm(forces)) or 1.0)
     return Slopes.of(balance.linearise(balance.pack(forces, rigid)).derivatives, balance.rows)
 
 

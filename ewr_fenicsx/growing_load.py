@@ -16,7 +16,7 @@ from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.growing_sets import choose_samples, sample_anew
 from ewr_fenicsx.ladder import COARSE_STEPS, LARGEST_TRACED, choose_better, follow, start_from_splitting
-from ewr_fenicsx.newton_path import CLOSE, CORNERS, follow_path, run_and_follow
+from ewr_fenicsx.newton_path import CLOSE, CORNERS, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.warm_starts import WARM_STEPS
 
@@ -52,11 +52,11 @@ def _grow(levels: Sequence[HarmonicBalance], tolerance: float) -> Attempt:
 
     An attempt that failed has an infinite residual: it is no solution of the last one.
     """
-    few, size = levels[0], levels[0].size
+    few = levels[0]
     first, begun = _begin_with_little_load(few, tolerance)
     lost = replace(begun, residual=np.inf, reason=f"no way from {FIRST_LOAD_SHARE:.0%} of it", converged=False)
-    most = min(GROWN_CORNERS, GROWN_WORK // size)
-    path = follow_path(few.firm, begun.unknowns, tolerance, most, first) if begun.converged else None
+    most = limit_corners(few, GROWN_CORNERS, GROWN_WORK)
+    path = follow_path(few.firm, begun.unknowns, tolerance, most, first, tried=most) if begun.converged else None
     if path is None:
         return lost
     found, steps = path, begun.iterations + path.iterations

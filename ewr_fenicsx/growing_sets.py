@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import count, takewhile
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.harmonics import round_up
 from ewr_fenicsx.splitting import Splitting, come_near, resample
 
 SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
@@ -46,14 +46,13 @@ def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: 
 def choose_samples(balance: HarmonicBalance) -> list[int]:
     """Growing numbers of samples a period, from the few that harmonics need to those of the balance."""
     highest, most = max(balance.basis.orders[-1], *balance.system.prescribed, 0), balance.basis.samples
-    few = max(FEW_SAMPLES, 1 << (FEW_A_HARMONIC * highest - 1).bit_length())
+    few = max(FEW_SAMPLES, round_up(FEW_A_HARMONIC * highest))
     return [*takewhile(lambda n: n < most, (few << doublings for doublings in count())), most]
 
 
 def sample_anew(balance: HarmonicBalance, samples: int) -> HarmonicBalance:
     """The balance, of the same unknowns, with its laws seen at so many samples a period."""
-    basis = replace(balance.basis, samples=samples)
-    return HarmonicBalance(replace(balance.system, basis=basis), balance.force_unit)
+    return HarmonicBalance(balance.system.sample(samples), balance.force_unit)
 
 
 def come_near_through_sets(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> Iterator[RealArray]:

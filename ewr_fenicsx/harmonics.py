@@ -186,6 +186,11 @@ def sample_amplitudes(amplitudes: Mapping[int, ComplexArray], columns: np.ndarra
     return signal
 
 
+def round_up(samples: int) -> int:
+    """The next power of two from a positive number of samples."""
+    return 1 << (samples - 1).bit_length()
+
+
 def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> FourierBasis:
     """Basis of harmonics ``0..N`` or of those listed.
 
@@ -207,7 +212,7 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
     if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or not all(is_whole(h) for h in orders):
         raise ModelError(f"harmonics = {harmonics!r}; give distinct whole numbers from 0")
     if samples is None:
-        samples = max(128, 1 << (32 * int(orders[-1]) - 1).bit_length()) if orders[-1] else 1
+        samples = max(128, round_up(32 * int(orders[-1]))) if orders[-1] else 1
     if not isinstance(samples, (int, np.integer)):
         raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, or None")
     if samples <= 2 * orders[-1]:

@@ -16,7 +16,6 @@ from petsc4py import PETSc
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.elimination import invert_steady
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.harmonics import FourierBasis
 from ewr_fenicsx.newton_step import Factorisation, NewtonStep
 
 FEW = 1500  # unknowns that no elimination takes out, below which the exact step is cheaper
@@ -106,7 +105,7 @@ class _Uncoupled:
 
     def _restrict(self, orders: tuple[int, ...]) -> HarmonicBalance:
         balance = self.balance
-        system = replace(balance.system.restrict(orders), basis=FourierBasis(orders, balance.basis.samples))
+        system = balance.system.restrict(orders).sample(balance.basis.samples)
         return HarmonicBalance(system, balance.force_unit)
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:

@@ -79,7 +79,7 @@ def follow_path(
         tolerance: Residual norm accepted.
         most: Corners at most.
         loaded_less: The same under other loads, near whose solution it starts: on the way these grow to the balance's.
-        tried: Corners that it may take before it has to be on its way, as it need not be where loads grow.
+        tried: Corners that it may take before it has to be on its way.
 
     Returns:
         The solution, or how far the path went; None where some law does not tell its corners.
@@ -98,9 +98,9 @@ def can_follow(balance: HarmonicBalance) -> bool:
     return all(law.linear or law.has_corners for law in balance.system.laws)
 
 
-def limit_corners(balance: HarmonicBalance) -> int:
-    """How many corners of a path are worth the time that they take."""
-    return min(CORNERS, WORK // balance.size)
+def limit_corners(balance: HarmonicBalance, corners: int = CORNERS, work: int = WORK) -> int:
+    """How many corners of a path are worth the time that they take: at most, and times the unknowns."""
+    return min(corners, work // balance.size)
 
 
 class RankOneUpdates:
@@ -143,7 +143,6 @@ class _Path:
     def follow(self, tolerance: float, most: int, tried: int = TRIED) -> str:
         """Go on until the residual is small enough, or the path is left; says why it ended."""
         sense, left = 1.0, np.inf if self.grows else float(np.linalg.norm(self.begin))
-        tried = most if self.grows else tried
         while True:
             try:
                 step = NewtonStep(self.balance, self._differentiate(), self.begin)

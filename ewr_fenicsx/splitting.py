@@ -31,7 +31,7 @@ import scipy.signal
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.harmonics import FourierBasis, round_up, sample_amplitudes
 from ewr_fenicsx.law_kinds import Law
 
 # Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
@@ -98,7 +98,7 @@ class Splitting:
     def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
-        needed = max(FEWEST_SAMPLES, samples, 1 << (SAMPLES * orders[-1] - 1).bit_length()) if orders[-1] else 1
+        needed = max(FEWEST_SAMPLES, samples, round_up(SAMPLES * orders[-1])) if orders[-1] else 1
         self.basis = FourierBasis(orders, needed)
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
         self.scale, self.ratio = np.ones((2, balance.rows))

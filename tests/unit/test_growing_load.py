@@ -68,7 +68,7 @@ def test_few_samples_take_a_fraction_of_the_corners(balance):
         level = sample_anew(balance, samples)
         first, begun = growing_load._begin_with_little_load(level, 1e-9)
         path = _Path(level.firm, begun.unknowns, first)
-        path.follow(1e-9, 10**5)
+        path.follow(1e-9, 10**5, tried=10**5)
         assert path.share == 1.0
         crossed.append(path.crossed)
     assert 0 < crossed[0] < 0.5 * crossed[1]

@@ -115,7 +115,7 @@ def test_loads_grow_to_the_solution(balance):
     """Without a start near it, and without a fold here, which would add corners: several statuses change on the way."""
     firm, first = balance.firm, load_by_share(balance, 0.02)
     begin = run_newton(first, first.pack(*first.full_stick), 1e-11, "elimination").unknowns
-    found = follow_path(firm, begin, 1e-8, 20_000, first)
+    found = follow_path(firm, begin, 1e-8, 20_000, first, tried=20_000)
     assert found.converged and found.iterations > 1
     few = follow_path(firm, begin, 1e-8, 50, first)
     assert not few.converged and re.match(r"Newton's path takes \d+% of the load in 50 corners", few.reason)
