@@ -207,9 +207,9 @@ class HarmonicBalance:
         }
         return {name: cache(compute) for name, compute in synthesise.items()}
 
-    def residual(self, unknowns: RealArray) -> RealArray:
-        """Scaled weighted residual, ``(size,)``."""
-        return self._respond(unknowns)[-1].copy()
+    def residual(self, unknowns: RealArray, motion: ComplexArray | None = None) -> RealArray:
+        """Scaled weighted residual, ``(size,)``, of the laws at the motion that the forces cause or another one [m]."""
+        return self._respond(unknowns, motion)[-1].copy()
 
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
         """Residual and generalised Jacobian at a point.

@@ -22,7 +22,7 @@ from ewr_fenicsx.warm_starts import WARM_STEPS
 
 FIRST_LOAD_SHARE = 0.02  # of the oscillating load, where its growth starts
 GROWN_CORNERS, GROWN_WORK = 18000, 2 * 10**7  # corners at most, and times the unknowns: half a minute
-GROWN_AT_ONCE = 100  # unknowns up to which it grows with all samples at once where few led nowhere: some seconds
+BEGINS, SMALL = 2, 100  # times that it grows, with ever more samples; unknowns up to which it does with all there are
 
 
 def grow_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
@@ -30,27 +30,29 @@ def grow_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> At
 
     Where there is one solution at the begin, and damping bounds all motion on the way, that has no other end than a
     solution, but for coincidences. It has thousands of corners, the fewer the fewer samples a period the laws see. From
-    the solution with few samples, those with ever more are a few steps away, or a short path.
+    the solution with few samples, those with ever more are a few steps away, or a short path. Where one is lost, the
+    load grows from its begin with as many samples as it was lost with.
 
     Returns:
         The solution, or the ``failed`` attempt with what became of this one; the steps of both counted.
     """
     if balance.size > LARGEST_TRACED:
         return failed
-    samplings, steps = [sample_anew(balance, samples) for samples in choose_samples(balance)], failed.iterations
-    at_once = [samplings[-1:]] if len(samplings) > 1 and balance.size <= GROWN_AT_ONCE else []
-    for levels in (samplings, *at_once):
-        grown = _grow(levels, tolerance)
+    levels, steps = [sample_anew(balance, samples) for samples in choose_samples(balance)], failed.iterations
+    for _ in range(BEGINS if balance.size > SMALL else len(levels)):
+        grown, levels = _grow(levels, tolerance)
         steps += grown.iterations
-        if grown.converged:
+        if not levels:
             break
     return choose_better(failed, grown, steps, "the oscillating load")
 
 
-def _grow(levels: Sequence[HarmonicBalance], tolerance: float) -> Attempt:
+def _grow(levels: Sequence[HarmonicBalance], tolerance: float) -> tuple[Attempt, Sequence[HarmonicBalance]]:
     """The load grown on the first of some balances, which differ in samples alone, and the others' solutions in turn.
 
-    An attempt that failed has an infinite residual: it is no solution of the last one.
+    Returns:
+        An attempt, with an infinite residual where it failed: it is no solution of the last one; and the balances from
+        the one on that lost the solution of the one before.
     """
     few = levels[0]
     first, begun = _begin_with_little_load(few, tolerance)
@@ -58,17 +60,17 @@ def _grow(levels: Sequence[HarmonicBalance], tolerance: float) -> Attempt:
     most = limit_corners(few, GROWN_CORNERS, GROWN_WORK)
     path = follow_path(few.firm, begun.unknowns, tolerance, most, first, tried=most) if begun.converged else None
     if path is None:
-        return lost
+        return lost, []
     found, steps = path, begun.iterations + path.iterations
     if not path.residual < CLOSE:
-        return replace(lost, iterations=steps, reason=path.reason)
-    for level in levels:
+        return replace(lost, iterations=steps, reason=path.reason), []
+    for i, level in enumerate(levels):
         found = _see_more(level, found.unknowns, tolerance)
         steps += found.iterations
         if not found.converged:
             told = f"grown with {few.basis.samples} samples a period, lost with {level.basis.samples}"
-            return replace(lost, iterations=steps, reason=told)
-    return replace(found, iterations=steps, reason="grown from corner to corner")
+            return replace(lost, iterations=steps, reason=told), levels[max(i, 1) :]
+    return replace(found, iterations=steps, reason="grown from corner to corner"), []
 
 
 def _see_more(level: HarmonicBalance, start: RealArray, tolerance: float) -> Attempt:

@@ -37,7 +37,10 @@ TRIED = 500  # corners after which a path is left that is not on its way: those 
 BEHIND, LOST = -1.0, 1e4  # where a path is left: its parameter, and the norm of the unknowns, which are of order one
 # Rate at which a corner is approached, over the largest one, below which it is not: rounding, as of pairs that are open
 IDLE = 1e-10
+# Error of a solution with updates of rank one up to which it is refined; with more, their inverse is made anew
+NEARLY = 1e-9
 CLOSE = 1e-3  # residual where Newton's method stalls, below which a solution is close
+SINGULAR = "the Newton matrix is singular"  # why a path ends
 
 
 def run_and_follow(
@@ -87,7 +90,10 @@ def follow_path(
     if not can_follow(balance):
         return None
     path = _Path(balance, start, loaded_less or balance)
-    why = path.follow(tolerance, most, tried)
+    try:
+        why = path.follow(tolerance, most, tried)
+    except np.linalg.LinAlgError:
+        why = SINGULAR
     found = run_newton(balance, path.unknowns, tolerance, "elimination", 0, near=True)  # looks whether it walks
     reason = found.reason if found.converged or found.walks else why
     return replace(found, iterations=path.factored, reason=reason)
@@ -110,22 +116,37 @@ class RankOneUpdates:
         size = factors.solution.size
         self.factors, self.count = factors, 0
         self.moved, self.seen = np.zeros((2, RANK, size))  # J^-1 u, and w
-        self.inverse = np.zeros((RANK, RANK))  # of 1 + W^T J^-1 U
+        self.small, self.inverse = np.zeros((2, RANK, RANK))  # 1 + W^T J^-1 U, and its inverse, nearly
 
     def add(self, u: RealArray, w: RealArray) -> tuple[RealArray, float]:
         """Add ``u w^T``; ``u`` solved for with the matrix of before, and the determinant over that of before."""
         k, column = self.count, self.factors.solve(u)
         self.moved[k], self.seen[k] = column, w
-        inverse = self.inverse[:k, :k]
-        shares, across = inverse @ (self.seen[:k] @ column), (self.moved[:k] @ w) @ inverse
+        self.small[:k, k], self.small[k, : k + 1] = self.seen[:k] @ column, self.moved[: k + 1] @ w
+        self.small[k, k] += 1.0
+        shares = self._solve(self.small[:k, k])
         column = column - shares @ self.moved[:k]
         ratio = float(1.0 + w @ column)
+        inverse = self.inverse[:k, :k]
+        across = self.small[k, :k] @ inverse
         with np.errstate(divide="ignore", invalid="ignore"):  # whoever asks looks at the ratio
             inverse += np.divide(np.outer(shares, across), ratio)
             self.inverse[k, :k], self.inverse[:k, k] = np.divide(-across, ratio), np.divide(-shares, ratio)
             self.inverse[k, k] = np.divide(1.0, ratio)
         self.count += 1
         return column, ratio
+
+    def _solve(self, right: RealArray) -> RealArray:
+        """The small matrix solved with: its inverse is bordered, and made anew where rounding has added up in it."""
+        k = self.count
+        small, inverse = self.small[:k, :k], self.inverse[:k, :k]
+        solution = inverse @ right
+        left = right - small @ solution
+        if not np.linalg.norm(left) <= NEARLY * np.linalg.norm(right):
+            inverse[:] = np.linalg.inv(small)
+            solution = inverse @ right
+            left = right - small @ solution
+        return solution + inverse @ left
 
 
 class _Path:
@@ -141,19 +162,24 @@ class _Path:
         self.sides = [corners > 0 for corners in self._look_here()]
 
     def follow(self, tolerance: float, most: int, tried: int = TRIED) -> str:
-        """Go on until the residual is small enough, or the path is left; says why it ended."""
+        """Go on until the residual is small enough, or the path is left; says why it ended.
+
+        Raises:
+            numpy.linalg.LinAlgError: A Newton matrix on the way is singular.
+        """
         sense, left = 1.0, np.inf if self.grows else float(np.linalg.norm(self.begin))
         while True:
-            try:
-                step = NewtonStep(self.balance, self._differentiate(), self.begin)
-                updates = RankOneUpdates(Factorisation(step, self.begin + self._find_pull(step)))
-            except np.linalg.LinAlgError:
-                return "the Newton matrix is singular"
+            step = NewtonStep(self.balance, self._differentiate(), self.begin)
+            updates = RankOneUpdates(Factorisation(step, self.begin + self._find_pull(step)))
             self.factored += 1
+            drift = updates.factors.solve(self._find_drift())
+            if not np.linalg.norm(drift) < np.inf:
+                return SINGULAR
+            self.unknowns -= drift
             ahead, at = -sense * updates.factors.solution, self._look_here()
             while updates.count < RANK:
                 if not np.linalg.norm(ahead) < np.inf:
-                    return "the Newton matrix is singular"
+                    return SINGULAR
                 rates = self._find_rates(ahead, sense)
                 reach, number, corner = self._find_corner(at, rates)
                 arrives = sense > 0 and reach >= 1 - self.share
@@ -186,9 +212,19 @@ class _Path:
         """How fast the residual changes with the growing loads, ``(size,)``."""
         return step.change(np.zeros_like(self.growing), self.growing, np.zeros(self.balance.rigid))
 
+    def _find_drift(self) -> RealArray:
+        """What rounding has made of the residual on the path, ``(size,)``."""
+        motion = self.balance.compliance.motion(*self.balance.unpack(self.unknowns)) - self._lacking
+        return self.balance.residual(self.unknowns, motion) - (1 - self.share) * self.begin
+
+    @property
+    def _lacking(self) -> ComplexArray:
+        """Motion by the share of the growing loads that has not come yet, amplitudes ``(n_h, m)`` [m]."""
+        return (1 - self.share) * self.growing
+
     def _look_here(self) -> list[RealArray]:
         """Corner functions of every law at the point, ``(n, n_t, K)``."""
-        return self._look(self.unknowns, (1 - self.share) * self.growing)
+        return self._look(self.unknowns, self._lacking)
 
     def _look(self, unknowns: RealArray, lacking: ComplexArray) -> list[RealArray]:
         """The same elsewhere, where so much of the motion by loads is lacking, amplitudes ``(n_h, m)`` [m]."""

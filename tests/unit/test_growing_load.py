@@ -10,7 +10,7 @@ from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, growing_load, solve
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.growing_load import GROWN_AT_ONCE, grow_load
+from ewr_fenicsx.growing_load import BEGINS, SMALL, grow_load
 from ewr_fenicsx.growing_sets import choose_samples, sample_anew
 from ewr_fenicsx.ladder import begin_at_full_stick
 from ewr_fenicsx.newton_path import _Path
@@ -74,25 +74,28 @@ def test_few_samples_take_a_fraction_of_the_corners(balance):
     assert 0 < crossed[0] < 0.5 * crossed[1]
 
 
-def test_where_more_samples_lose_it_small_joints_grow_with_all_at_once(balance, monkeypatch):
-    assert balance.size <= GROWN_AT_ONCE
-    lose, asked = growing_load._see_more, []
+@pytest.mark.parametrize("small", [True, False], ids=["small", "large"])
+def test_where_more_samples_lose_it_it_grows_with_as_many(balance, monkeypatch, small):
+    """As often as there are more, or in large joints a few times."""
+    assert balance.size <= SMALL and choose_samples(balance) == [16, 32, 64, 128]
+    see, asked, hopeless = growing_load._see_more, [], [32, 64]
 
     def see_more(level, start, tolerance):
         asked.append(level.basis.samples)
-        found = lose(level, start, tolerance)
-        return replace(found, converged=False) if asked == [16, 32] else found
+        lost = level.basis.samples in hopeless and asked.count(level.basis.samples) == 1
+        return replace(see(level, start, tolerance), converged=not lost)
 
     monkeypatch.setattr(growing_load, "_see_more", see_more)
+    monkeypatch.setattr(growing_load, "SMALL", balance.size - (not small))
     failed = begin_at_full_stick(balance)
-    assert grow_load(balance, 1e-9, failed).converged
-    assert asked == [16, 32, 128]
-    asked.clear()
-    monkeypatch.setattr(growing_load, "GROWN_AT_ONCE", balance.size - 1)
-    lost = grow_load(balance, 1e-9, failed)
-    assert asked == [16, 32] and not lost.converged and lost.unknowns is failed.unknowns
-    assert lost.reason == "the oscillating load: grown with 16 samples a period, lost with 32"
-    assert lost.iterations > 0 and lost.residual == failed.residual
+    found = grow_load(balance, 1e-9, failed)
+    if small:
+        assert found.converged and asked == [16, 32, 32, 64, 64, 128]
+        return
+    assert BEGINS == 2 and asked == [16, 32, 32, 64]
+    assert not found.converged and found.unknowns is failed.unknowns
+    assert found.reason == "the oscillating load: grown with 32 samples a period, lost with 64"
+    assert found.iterations > 0 and found.residual == failed.residual
 
 
 def test_what_takes_too_long_is_left(balance, monkeypatch):

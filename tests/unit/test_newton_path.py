@@ -155,6 +155,39 @@ def test_updates_are_those_of_the_matrix(balance):
     assert changed > 10
 
 
+def test_updates_past_a_matrix_that_is_all_but_singular_stay_accurate(balance):
+    """The inverse of the small matrix is bordered: what rounding made of it there would stay in it for good."""
+    step = balance.linearise(balance.pack(*balance.full_stick))
+    updates, matrix, rng = RankOneUpdates(Factorisation(step, step.residual)), step.matrix(), np.random.default_rng(8)
+    ahead = updates.factors.solution
+    for k in range(60):
+        u, w = rng.normal(size=(2, balance.size)) / balance.size
+        if k % 20 == 10:  # the determinant nearly vanishes, and the next change takes it back
+            u *= (1e-9 - 1.0) / (w @ np.linalg.solve(matrix, u))
+            back = u, w
+        elif k % 20 == 11:
+            u, w = -back[0], back[1]
+        moved, ratio = updates.add(u, w)
+        assert k % 20 != 10 or abs(ratio) < 1e-8
+        ahead, matrix = ahead - (w @ ahead / ratio) * moved, matrix + np.outer(u, w)
+    right = rng.normal(size=balance.size)
+    found = updates.add(right, np.zeros(balance.size))[0]
+    expected = np.linalg.solve(matrix, right)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_what_rounding_adds_up_to_does_not_stay(balance):
+    """With every factorisation a path goes back to where it should be."""
+    path = newton_path._Path(balance, balance.pack(*balance.full_stick), balance)
+    begin, size = path.begin, np.sqrt(balance.size)
+    path.unknowns += 1e-7 * np.random.default_rng(9).normal(size=balance.size) / size
+    off = np.linalg.norm(balance.residual(path.unknowns) - begin)
+    path.follow(1e-9, 3)
+    assert path.crossed == 3 and off > 1e-8
+    left = balance.residual(path.unknowns) - (1 - path.share) * begin
+    assert np.linalg.norm(left) < 1e-3 * off
+
+
 def find_stalled(case: hard_cases.Case, steps: int):
     """A balance with weights far off, and where Newton's method stalls from the solution with the default ones."""
     from ewr_fenicsx.weights import use_default_weights
