@@ -24,6 +24,7 @@ from ewr_fenicsx import (
 )
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.growing_sets import sample_anew
 from ewr_fenicsx.snes import Attempt
 from ewr_fenicsx.solution_store import restore, strip
 
@@ -183,6 +184,15 @@ def test_the_load_grows_over_corners(case):
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
     rungs = [name for name, _ in newton.list_rungs(problem, balance, None, 1e-8, "elimination")]
     assert rungs[1:4] == ["time stepping", "load grown over corners", "rounded corners"]
+
+
+def test_a_path_past_matrices_that_are_all_but_singular_stays_on_its_way():
+    """Rounding took it from there: what it ended with left 2e-5 to 10, as the machine had it."""
+    case = hard_cases.Case("blade root", 0.7, ("reached", 1.0), 1.5, 9, 0.05, "even", (1, 1))
+    few = sample_anew(HarmonicBalance(hard_cases.pose_case(case).system), 32)
+    first, begun = growing_load._begin_with_little_load(few, 1e-8)
+    found = newton_path.follow_path(few.firm, begun.unknowns, 1e-8, 10_000, first, tried=10_000)
+    assert found.residual < 1e-6 and found.iterations > 3
 
 
 @pytest.mark.parametrize("rho", [(1e3, 1e3), (1e-3, 1e-3), (1.0, 1e-3)])
