@@ -25,7 +25,7 @@ SOFTNESSES = (1.0, 0.1)  # of the splittings, in turn: one may lead where anothe
 COARSE_GOAL, FINE_GOALS = 1e-3, (1e-4, 1e-5, 1e-6)
 # How many times apart residual and defect may be for a start to be tried before the last goal: further, where weights
 # are far off, nothing arrives. And the defect from which it hardly ever does.
-APART, HOPELESS = 10.0, 0.5
+APART, HOPELESS = 10.0, 0.05
 NEWTON_STEPS, MOST_STEPS = 25, 75  # a run, and after which no other start is tried: those that arrive take fewer
 
 

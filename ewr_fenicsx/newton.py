@@ -35,6 +35,7 @@ from ewr_fenicsx.long_splitting import split_at_length
 from ewr_fenicsx.newton_path import can_follow
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.splitting import are_projections
 from ewr_fenicsx.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.warm_starts import go_on_from, guide
 from ewr_fenicsx.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
@@ -53,6 +54,7 @@ COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
+ASTRAY = 0.1  # residual of a start from which no run arrives where no long splitting has led on
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
@@ -239,8 +241,8 @@ def start_from_time_stepping(
 ) -> Attempt:
     """Newton from where some coarse periods of time stepping end, which find their way however hard the contact.
 
-    A long splitting leads on from there. Else two starts are worth trying: the forces themselves, and a step of the
-    laws linearised at forces and motions.
+    A long splitting leads on from there. Else two starts are worth trying, unless they are far off: the forces
+    themselves, and a step of the laws linearised at forces and motions.
     """
     from ewr_fenicsx.time_integration import integrate  # only for those whom Newton fails
 
@@ -270,9 +272,9 @@ def start_from_time_stepping(
         unmoved = balance.compliance.motion(forces, rigid)[0].real
         rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
     starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
-    starts = sorted((u for u in starts if np.all(np.isfinite(u))), key=lambda u: np.linalg.norm(balance.residual(u)))
-    steps += 1
-    for unknowns in starts:
+    measure = lambda u: np.linalg.norm(balance.residual(u)) if np.all(np.isfinite(u)) else np.inf  # noqa: E731
+    steps, far = steps + 1, ASTRAY if are_projections(balance) else np.inf
+    for unknowns in sorted((u for u in starts if measure(u) < far), key=measure):
         found = run_newton(balance, unknowns, tolerance, linear_solver, TIME_NEWTON)
         steps += found.iterations
         attempt = min(attempt, found)

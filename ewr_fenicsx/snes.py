@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -24,10 +25,11 @@ MAX_STEPS = 150  # -ewr_snes_max_it
 TAKE_OVER = 1e-6  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 SMALLEST_DAMPING = 1e-6  # of a Newton step
-# Between these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
-# there end at a corner without a solution. Far off, Newton may creep for long and still arrive; so it may where next to
-# nothing is left, in joints that mostly stick: their pairs begin to slip one after the other.
-STALL_BETWEEN, STALL_STEPS, STALL_SHARE = (1e-5, 3e-3), 5, 0.8
+# Above these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
+# end at a corner without a solution. Where next to nothing is left, Newton may creep and still arrive, in joints that
+# mostly stick: their pairs begin to slip one after the other.
+CLOSER = 3e-3
+STALLS = ((CLOSER, 8, 0.85), (1e-5, 5, 0.8))
 # From so many unknowns on, dense factors are made in single precision, in half the time, and refined by GMRES to
 # ``ROUGH_TOLERANCE``. They precondition later steps too, for few samples change status in between: how exact such a
 # step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
@@ -88,7 +90,7 @@ def run_newton(
             if np.any(balance.held) and not attempts[0].converged:
                 attempts += _soften(newton, balance, firm.unknowns, tolerance)
         # weights far above the defaults put the two balances far apart: then from the start again
-        if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < STALL_BETWEEN[1]):
+        if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < CLOSER):
             attempts.append(newton.run(balance, start, tolerance, near))
     if not attempts:
         return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
@@ -211,8 +213,7 @@ class _HalvedNewton:
                 return snes.setConvergedReason(reason.CONVERGED_FNORM_ABS)
             if taken == limit:
                 return snes.setConvergedReason(reason.DIVERGED_MAX_IT)
-            low, high = STALL_BETWEEN
-            if low < norm < high and taken >= STALL_STEPS and norm > STALL_SHARE * norms[-1 - STALL_STEPS]:
+            if is_stalled(norms):
                 return snes.setConvergedReason(reason.DIVERGED_LOCAL_MIN)
             snes.computeJacobian(x, J, P)
             ksp.setOperators(J, P)
@@ -270,6 +271,14 @@ class _HalvedNewton:
                 return
         equations.forget_factors(np.float64)
         ksp.solve(right_side, step)
+
+
+def is_stalled(norms: Sequence[float]) -> bool:
+    """Whether residuals, step by step, creep rather than fall."""
+    for above, steps, share in STALLS:
+        if norms[-1] > above:
+            return len(norms) > steps and norms[-1] > share * norms[-1 - steps]
+    return False
 
 
 def is_direct(ksp: PETSc.KSP) -> bool:

@@ -260,8 +260,22 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so(monkeypatch):
     start = newton.begin_at_full_stick(balance)
     monkeypatch.setattr(newton, "split_at_length", lambda *_: None)
     monkeypatch.setattr(newton, "run_newton", lambda _, unknowns, *given: Attempt(unknowns, 0.1, 1, "as if", False))
-    attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
-    assert attempt.reason.startswith("as if (from period to period its motion still changes ")
+    told = " (from period to period its motion still changes "
+    for astray, reason, steps in ((np.inf, "as if", 3), (newton.ASTRAY, start.reason, 1)):  # the starts are far off
+        monkeypatch.setattr(newton, "ASTRAY", astray)
+        attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
+        assert attempt.reason.startswith(reason + told) and attempt.iterations == steps
+
+
+def test_a_run_that_creeps_far_off_is_given_up():
+    """It took 33 steps to creep at one residual; from the few that it takes now, the other ways take over."""
+    case = hard_cases.Case("dovetail", 1.5, ("reached", 3.0), 0.05, 3, 1e-3, "even", (1, 1))
+    problem = hard_cases.pose_case(case)
+    balance = HarmonicBalance(problem.system)
+    run = snes.run_newton(balance, balance.pack(*balance.full_stick), 1e-8, "elimination")
+    assert not run.converged and run.reason == "the residual fell no further" and run.iterations <= 20
+    assert run.residual > snes.CLOSER
+    assert solve(problem).iterations <= 30
 
 
 @pytest.mark.parametrize(

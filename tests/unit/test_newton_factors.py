@@ -144,3 +144,19 @@ def test_far_from_a_solution_large_joints_take_steps_without_factors_of_the_whol
     made.clear()
     again = solve(problem, tolerance=1e-11, linear_solver=linear_solver)
     assert made == of_exact and again.iterations == exact.iterations
+
+
+@pytest.mark.parametrize(
+    ("norms", "stalled"),
+    [
+        ([0.2] * 9, True),
+        ([0.2] * 8, False),  # it may yet fall
+        (list(0.2 * 0.97 ** np.arange(9)), False),
+        ([4e-4] * 6, True),
+        (list(4e-4 * 0.95 ** np.arange(6)), False),
+        ([9e-6] * 20, False),  # pairs begin to slip one after the other
+        ([1.0] * 9 + [2e-3] * 3, False),
+    ],
+)
+def test_runs_that_creep_are_told(norms, stalled):
+    assert snes.is_stalled(norms) == stalled
