@@ -1,7 +1,8 @@
 """Branches of periodic solutions along a parameter, past folds: pseudo-arc-length continuation.
 
-The branch is parametrised by its arc length, in which a fold is an ordinary point. One step: a secant predictor, then
-Newton on the balance bordered with the condition that the point lies in the plane normal to the secant.
+The branch is parametrised by its arc length, in which a fold is an ordinary point. One step: along the tangent that the
+last correction ended with, or a secant, then Newton on the balance bordered with the condition that the point lies in
+the plane normal to that.
 
 Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalue problems.
 """
@@ -68,7 +69,7 @@ def trace_branch(
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, long steps
-            across a sharp corner are halved.
+            across a sharp corner are halved, and go along secants: they come closer to a corner, in more steps.
     """
     here, tangent, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), 0
     if before is not None:
@@ -90,10 +91,19 @@ def trace_branch(
             step *= 0.5
             continue
         tangent = _point_to(here, found, span) if ahead is None else ahead
+        if ahead is None and np.isinf(stray):
+            tangent = _find_way(tangent, onward)
         yield replace(found, steps=spent)
         here, spent = found, 0
         ways = [(here, tangent), *ways[:1]]
         step = min(largest_step, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
+
+
+def _find_way(secant: RealArray, tangent: RealArray | None) -> RealArray:
+    """Where a branch goes on: along a tangent of either sign, unless that has turned away from the secant."""
+    if tangent is None or abs(tangent @ secant) < _ALONG:
+        return secant
+    return np.sign(tangent @ secant) * tangent
 
 
 def measure_arc(a: BranchPoint, b: BranchPoint, span: float) -> float:

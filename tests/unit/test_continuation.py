@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, continuation, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance import FIRM, HarmonicBalance
 from ewr_fenicsx.continuation import BranchPoint
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.newton_step import NewtonStep
+from ewr_fenicsx.smoothing import round_corners
+from ewr_fenicsx.snes import run_newton
 
 
 def begin(problem: ContactProblem) -> tuple[BranchPoint, Callable[[float], HarmonicBalance]]:
@@ -80,3 +83,31 @@ def test_the_last_step_of_the_corrector_counts(monkeypatch):
     assert step().parameter == usual.parameter
     monkeypatch.setattr(continuation, "CORRECTOR_STEPS", usual.steps - 1)
     assert step() is None
+
+
+def test_along_tangents_a_branch_takes_fewer_steps(monkeypatch):
+    """Beside the same along secants: laws with rounded corners, sharpened from blunt ones."""
+    balance = HarmonicBalance(ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9).system)
+    unit = balance.force_unit / np.sqrt(balance.rows)
+
+    def at(logarithm: float) -> HarmonicBalance:
+        return HarmonicBalance(round_corners(balance.system, np.exp(logarithm) * unit), balance.force_unit, FIRM)
+
+    blunt = run_newton(at(0.0), balance.pack(*balance.full_stick), 1e-9, "elimination")
+    assert blunt.converged
+    ends, steps = [], []
+    for find_way in (continuation._find_way, lambda secant, _: secant):
+        monkeypatch.setattr(continuation, "_find_way", find_way)
+        branch = continuation.trace_branch(at, BranchPoint(0.0, blunt.unknowns, 0), -2.0, step=0.1, tolerance=1e-9)
+        points = list(takewhile(lambda point: point.parameter > -12.0, branch))
+        ends.append(run_newton(balance, points[-1].unknowns, 1e-9, "elimination", near=True).unknowns)
+        steps.append(sum(point.steps for point in points))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-6 * np.linalg.norm(ends[1]))
+    assert steps[0] < 0.9 * steps[1]
+
+
+def test_a_tangent_that_has_turned_away_is_none():
+    along, across = np.array([1.0, 0.0]), np.array([0.1, np.sqrt(0.99)])
+    np.testing.assert_array_equal(continuation._find_way(along, None), along)
+    np.testing.assert_array_equal(continuation._find_way(along, across), along)
+    np.testing.assert_array_equal(continuation._find_way(along, -along), along)
