@@ -219,7 +219,7 @@ def list_remedies(best: PeriodicSolution) -> str:
     if own:
         last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
     return (
-        ". Try fewer harmonics, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
+        ". Try fewer harmonics or more, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
         f"more damping; {last}"
     )
 
