@@ -54,7 +54,7 @@ COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
-ASTRAY = 0.1  # residual of a start from which no run arrives where no long splitting has led on
+ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
