@@ -90,9 +90,10 @@ def trace_branch(
         if found is None:
             step *= 0.5
             continue
-        tangent = _point_to(here, found, span) if ahead is None else ahead
-        if ahead is None and np.isinf(stray):
-            tangent = _find_way(tangent, onward)
+        if ahead is None:
+            secant = _point_to(here, found, span)
+            ahead = secant if np.isfinite(stray) else _find_way(secant, onward)
+        tangent = ahead
         yield replace(found, steps=spent)
         here, spent = found, 0
         ways = [(here, tangent), *ways[:1]]

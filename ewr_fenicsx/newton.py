@@ -272,10 +272,10 @@ def start_from_time_stepping(
         unmoved = balance.compliance.motion(forces, rigid)[0].real
         rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
     starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
-    measure = lambda u: np.linalg.norm(balance.residual(u)) if np.all(np.isfinite(u)) else np.inf  # noqa: E731
+    left = np.array([np.linalg.norm(balance.residual(u)) if np.all(np.isfinite(u)) else np.inf for u in starts])
     steps, far = steps + 1, ASTRAY if are_projections(balance) else np.inf
-    for unknowns in sorted((u for u in starts if measure(u) < far), key=measure):
-        found = run_newton(balance, unknowns, tolerance, linear_solver, TIME_NEWTON)
+    for i in np.argsort(left)[: np.count_nonzero(left < far)]:
+        found = run_newton(balance, starts[i], tolerance, linear_solver, TIME_NEWTON)
         steps += found.iterations
         attempt = min(attempt, found)
         if found.residual < GROSS:
