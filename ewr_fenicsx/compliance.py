@@ -65,6 +65,11 @@ class DynamicCompliance:
             amplitudes[0] += row[0, m + 1 :] @ rigid
         return amplitudes
 
+    def bound_rows(self, forces: ComplexArray) -> RealArray:
+        """``(n_h, m)`` what the rows' motion would reach, rigid motion aside, if no forces and loads cancelled."""
+        moved = np.einsum("hij,hj->hi", np.abs(self.flexibility), np.abs(forces))
+        return moved + np.abs(self.free_motion)
+
     def bound_output(self, name: str, forces: ComplexArray) -> RealArray:
         """``(n_h,)`` what an output would reach, rigid motion aside, if no forces ``(n_h, m)`` and loads cancelled.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ewr_fenicsx import bonded, coulomb, unilateral  # noqa: F401  register their kinds
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers, refreeze
 from ewr_fenicsx.law_kinds import Law, LawKind, PairGroup, Side, find_kind, list_parameters
 from ewr_fenicsx.mean_friction import StaticFriction
 from ewr_fenicsx.prescribed import Prescribed
@@ -64,6 +64,8 @@ class ContactLaws:
         for name in ("friction", "normal_force", "initial_gap", "parameters"):
             object.__setattr__(self, name, keep(getattr(self, name)))
         self.kinds  # noqa: B018  mistakes in the parameters come to light here
+
+    __setstate__ = refreeze
 
     @cached_property
     def kinds(self) -> tuple[LawKind, LawKind]:

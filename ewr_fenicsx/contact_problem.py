@@ -17,7 +17,7 @@ from ewr_fenicsx.composition import compose
 from ewr_fenicsx.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.contact_system import ContactSystem
 from ewr_fenicsx.errors import ModelError, name_pairs, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers, refreeze
 from ewr_fenicsx.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.law_kinds import is_own, spread_over_pairs
 from ewr_fenicsx.reduced_model import ReducedModel, check_loads
@@ -112,6 +112,8 @@ class ContactProblem:
                 f"pair {int(np.argmax(self.opens))} may part, and the problem keeps only harmonics "
                 f"{self.basis.orders}: a normal force without a mean pulls as much as it pushes; add 0 to harmonics"
             )
+
+    __setstate__ = refreeze
 
     @cached_property
     def basis(self) -> FourierBasis:

@@ -151,11 +151,12 @@ def read_response(
     return response if problem.model.outputs else response.reshape(-1, 1)
 
 
-def bound_response(solution: PeriodicSolution) -> RealArray | float:
-    """``(p,)`` norms of the outputs' oscillations if no contact forces and loads cancelled; 0 without outputs."""
+def bound_response(solution: PeriodicSolution) -> RealArray:
+    """``(p,)`` norms of what ``read_response`` reads, if no contact forces and loads cancelled."""
     compliance, above = solution.problem.system.compliance, np.array(solution.orders) > 0
     bounds = [compliance.bound_output(name, solution.forces)[above] for name in solution.problem.model.outputs]
-    return np.linalg.norm(bounds, axis=1) if bounds else 0.0
+    bounds = bounds or [compliance.bound_rows(solution.forces)[above].ravel()]
+    return np.linalg.norm(bounds, axis=1)
 
 
 def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure: Figure | None = None) -> float:

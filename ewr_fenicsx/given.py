@@ -25,14 +25,16 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
         remedy: What to do about complex numbers where ``kind`` is ``float``.
 
     Raises:
-        ModelError: Something else than numbers, rows of unequal lengths, or complex numbers where real ones belong.
+        ModelError: Something else than numbers, such as truth values; rows of unequal lengths, or complex numbers where
+            real ones belong.
     """
     try:
         array = np.array(value.toarray() if scipy.sparse.issparse(value) else value)
     except ValueError:
         raise ModelError(f"{name} = {shorten(value)} has rows of unequal lengths; make them equally long") from None
-    if array.dtype.kind not in "biufc":
-        raise ModelError(f"{name} = {shorten(value)}; give numbers")
+    if array.dtype.kind not in "iufc":
+        instead = ", as np.flatnonzero makes of a mask" if array.dtype.kind == "b" else ""
+        raise ModelError(f"{name} = {shorten(value)}; give numbers{instead}")
     if array.dtype.kind == "c" and kind is float:
         raise ModelError(f"{name} = {shorten(value)} is complex; {remedy}")
     return array.astype(kind, copy=False)
@@ -69,6 +71,12 @@ def keep(value: object) -> object:
     elif type(value) in (list, tuple):
         return type(value)(map(keep, value))
     return value
+
+
+def refreeze(owner: object, state: Mapping[str, object]) -> None:
+    """``__setstate__`` of a frozen owner: an array that was pickled can be written to."""
+    for name, value in state.items():
+        object.__setattr__(owner, name, keep(value))
 
 
 def is_whole(value: object, least: int = 0) -> bool:

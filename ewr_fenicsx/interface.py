@@ -235,9 +235,11 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
             f"{_tell_place(a.position[shared[0]])}; coincident nodes of a joint must stay distinct"
         )
     if len(a.nodes) != len(b.nodes) or not len(a.nodes):
+        remedy = "give both curves the same transfinite count"
+        if not (len(a.nodes) and len(b.nodes)):
+            remedy = "a flank has curves of both bodies: name one in contact.flanks, or leave that out for all"
         raise InterfaceError(
-            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; '
-            "give both curves the same transfinite count"
+            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}'
         )
     order = _follow_tangent(a)
     length = np.linalg.norm(np.ptp(a.position, axis=0))

@@ -148,6 +148,7 @@ class PeriodicMotion:
         Raises:
             ModelError: No whole number of samples.
         """
+        samples = read_samples(samples)
         stride = self._find_stride(samples)
         basis = FourierBasis(self.orders, stride * samples)
         velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
@@ -165,7 +166,7 @@ class PeriodicMotion:
 
     def _find_stride(self, samples: int) -> int:
         """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""
-        return -(-self.problem.basis.samples // read_samples(samples))
+        return -(-self.problem.basis.samples // samples)
 
     @cached_property
     def slip_amplitudes(self) -> Mapping[str, ComplexArray]:

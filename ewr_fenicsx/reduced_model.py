@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, read_harmonic, read_numbers
+from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_harmonic, read_numbers, refreeze
 from ewr_fenicsx.rigid_modes import check_inertia, check_rigid_modes, find_own_units, find_precision, find_rigid_modes
 from ewr_fenicsx.whole_files import replace_file
 
@@ -35,6 +35,7 @@ _REMEDIES = {  # what to do about complex ones
     "normal": "give real rows, in real coordinates",
     "tangential": "give real rows, in real coordinates",
 }
+SMALLEST_LOAD, LARGEST_LOAD = 1e-100, 1e100  # [N] of all entries the largest: squares must stay numbers
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -118,12 +119,14 @@ class ReducedModel:
         rows = {_name(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()}
         freeze("outputs", ReadOnly(rows))
         if self.rigid_modes is None:
-            freeze("rigid_modes", find_rigid_modes(self.stiffness, precision))
+            freeze("rigid_modes", keep(find_rigid_modes(self.stiffness, precision)))
         else:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
             check_rigid_modes(self.stiffness, self.rigid_modes)
         check_inertia(self.mass, self.stiffness, self.rigid_modes)
+
+    __setstate__ = refreeze
 
     def __repr__(self) -> str:
         return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
@@ -221,7 +224,14 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
             real.
     """
     given = _mapping("load", load, "{1: amplitudes}")
-    return ReadOnly({read_harmonic("load", h): _load(h, f, size) for h, f in given.items()})
+    loads = {read_harmonic("load", h): _load(h, f, size) for h, f in given.items()}
+    largest = max((float(np.abs(f).max(initial=0.0)) for f in loads.values()), default=0.0)
+    if largest and not SMALLEST_LOAD <= largest <= LARGEST_LOAD:
+        raise ModelError(
+            f"load: the largest entry is {largest:g} N; give {SMALLEST_LOAD:g} to {LARGEST_LOAD:g} N, whose squares "
+            "are numbers, or none"
+        )
+    return ReadOnly(loads)
 
 
 def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.accuracy import AccurateSolution
 from ewr_fenicsx.contact_state import list_figures
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.following import Jump
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.progress import count_progress
@@ -122,17 +123,24 @@ class FrequencyResponse:
         """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
 
         Raises:
-            ModelError: The model has no such output.
+            ModelError: The model has no such output, or the curve has no solution.
         """
+        self._check_solved()
         return gather_output(self.solutions, name, self.orders)
 
     def figure(self, name: str) -> RealArray:
         """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
 
         Raises:
-            ModelError: There is no such figure.
+            ModelError: There is no such figure, or the curve has no solution.
         """
+        self._check_solved()
         return gather_figure(self.solutions, name)
+
+    def _check_solved(self) -> None:
+        if not self.solutions:
+            asked = f" from {min(self.missing):g} to {max(self.missing):g} Hz" if self.missing else ""
+            raise ModelError(f"no solution was found{asked}: solve(...) at one of these frequencies says why")
 
     def table(self) -> dict[str, RealArray]:
         """Column -> ``(n,)``: frequency, figures of merit, instability, Newton steps, and every output's harmonics.

@@ -136,7 +136,8 @@ class BlockStore(_Store):
                 return BlockState()
             if file.attrs.get("stated") != self.stated:
                 raise OutputError(
-                    f"{path} belongs to a run with another model, laws or settings; give another folder or remove it"
+                    f"{path} belongs to a run with another model, laws, frequencies or settings; give another folder "
+                    "or remove it"
                 )
             points, stand = (tuple(read_records(file[n])) if n in file else () for n in ("points", "stand"))
             jumps = [Jump(tuple(f), str(w)) for f, w in zip(file["jumps"][()], file.attrs["jumps"], strict=True)]

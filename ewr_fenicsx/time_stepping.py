@@ -94,8 +94,8 @@ class TimeScheme:
         echo, echoes: ``(k, m)`` what it takes back in the next step, and from which ``k`` modes.
 
     Raises:
-        ModelError: No period, no whole number of steps, too few for the problem's harmonics, or ``theta`` outside
-            [1/2, 1].
+        ModelError: No period, no whole number of steps, too few for the problem's harmonics, so long that inertia is
+            lost beside stiffness, or ``theta`` outside [1/2, 1].
     """
 
     def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
@@ -113,7 +113,15 @@ class TimeScheme:
         model = self.system.model
         reach = (self.theta * self.dt) ** 2
         inertia = model.mass + reach * model.stiffness
-        _, modes = scipy.linalg.eigh(reach * model.stiffness, inertia)  # a singular mass does no harm in this pencil
+        try:
+            _, modes = scipy.linalg.eigh(
+                reach * model.stiffness, inertia
+            )  # a singular mass does no harm in this pencil
+        except np.linalg.LinAlgError:  # of bodies that float, rounding leaves less than nothing
+            raise ModelError(
+                f"frequency = {problem.frequency:g} Hz: with {steps} steps a period, inertia is lost in the rounding "
+                "of stiffness; take more steps or a higher frequency"
+            ) from None
         self.expansion = self.system.expansion @ modes
         self._contraction = modes.T @ inertia @ self.system.expansion.T
         self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
@@ -132,13 +140,11 @@ class TimeScheme:
         self.is_diagonal = bool(np.all(np.abs(self.damping - np.diag(own)) <= rounding))
         spring = theta * dt**2 * self.stiffness
         if self.is_diagonal:
-            inverse = 1 / (self.mass + theta * dt * own + theta * spring)
+            self._inverse = inverse = 1 / (self.mass + theta * dt * own + theta * spring)
             self.keep, self.pull = 1 - inverse * (dt * own + spring), -dt * inverse * self.stiffness
             self.keep_dense = self.pull_dense = np.zeros((0, 0))
-            self._solve = lambda b: inverse[:, None] * b
         else:
-            factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + dt * self.damping * theta)
-            self._solve = lambda b: scipy.linalg.lu_solve(factor, b)
+            self._factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + dt * self.damping * theta)
             self.keep = self.pull = np.zeros(0)
             self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
             self.pull_dense = np.ascontiguousarray(-dt * self._solve(np.diag(self.stiffness)))
@@ -148,6 +154,10 @@ class TimeScheme:
         self.echoes = np.flatnonzero(np.any(echo != 0, axis=1))
         self.echo = np.ascontiguousarray(echo[self.echoes])
         self.delassus_columns = np.ascontiguousarray((self.rows @ self.push).T)  # row i: what impulse i does to all
+
+    def _solve(self, forces: RealArray) -> RealArray:
+        """Modal velocities ``(n', k)`` that a step's ``k`` impulses add at its end."""
+        return self._inverse[:, None] * forces if self.is_diagonal else scipy.linalg.lu_solve(self._factor, forces)
 
     def _compose_laws(self) -> None:
         problem, system = self.problem, self.system

@@ -229,6 +229,12 @@ def test_laws_that_make_no_sense_are_refused(arguments, message):
         ),
         ({"laws": [([0], ContactLaws()), ([0], ContactLaws())]}, "each of the 1 pairs once; they repeat pair 0$"),
         ({"laws": [("all", ContactLaws())]}, "pairs of laws = 'all'; give numbers"),
+        (
+            {"laws": [(np.array([False]), ContactLaws())]},
+            r"array\(\[False\]\); give numbers, as np.flatnonzero makes of",
+        ),
+        ({"load": {1: [1e-165, 0.0, 0.0, 0.0]}}, r"largest entry is 1e-165 N; give 1e-100 to 1e\+100 N, .* or none"),
+        ({"load": {0: [1e160, 0.0, 0.0, 0.0]}}, r"largest entry is 1e\+160 N; give 1e-100"),
         ({"harmonics": (0, 2)}, r"loaded at harmonics \[1\], the problem keeps only \(0, 2\); add them"),
         ({"harmonics": (1, 3)}, r"loaded at harmonics \[0\], the problem keeps only \(1, 3\)"),
         (

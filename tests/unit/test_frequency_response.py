@@ -164,7 +164,7 @@ def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch
     curve = sweep(folder=tmp_path)
     assert solved == [1], "the first block was on disk"
     np.testing.assert_array_equal(curve.output("tip"), whole.output("tip"))
-    with pytest.raises(OutputError, match="another model, laws or settings"):
+    with pytest.raises(OutputError, match="another model, laws, frequencies or settings"):
         sweep(folder=tmp_path, laws=replace(LAWS, friction=0.31))
 
 
@@ -351,6 +351,14 @@ def test_a_sweep_across_a_mode_without_damping_keeps_what_it_finds():
     curve = frequency_response(friction_oscillator(damping=0.0), rubs, frequencies, 5, False)
     assert not curve.missing and {0.14, 0.15, 0.17} < set(curve.frequencies)
     assert [jump.frequency[1] for jump in curve.jumps] == [1 / (2 * np.pi)]
+
+
+def test_a_curve_without_a_solution_says_so():
+    curve = FrequencyResponse((), (), (20.0, 21.0))
+    for ask in (lambda: curve.figure("rms_tip"), lambda: curve.output("tip")):
+        with pytest.raises(ModelError, match="no solution was found from 20 to 21 Hz: solve"):
+            ask()
+    assert [len(column) for column in curve.table().values()] == [0] * 4
 
 
 def test_breaks_of_a_curve_are_where_its_jumps_are():

@@ -56,6 +56,16 @@ def test_arrays_of_own_parameters_are_kept_as_well():
     np.testing.assert_array_equal(kept["by_name"]["a"], 1.0)
 
 
+def test_what_was_pickled_can_be_written_to_no_more_than_before():
+    laws = [([2, 0, 1], ContactLaws(friction=np.full(3, 0.3)))]
+    problem = ContactProblem(random_structure(), laws, 0.1, wear=np.ones(3), load={1: np.ones(9)})
+    for kept in (problem, pickle.loads(pickle.dumps(problem)), copy.deepcopy(problem)):
+        model = kept.model
+        for array in (model.mass, model.tangential, model.rigid_modes, kept.loads[1], kept.wear):
+            assert not array.flags.writeable
+        assert not kept.laws[0][1].friction.flags.writeable
+
+
 def test_loads_and_outputs_of_a_model_cannot_be_written_to():
     """A load taken out of a model was gone without a word; one that was put in ended in an error of numpy's."""
     model = random_structure()

@@ -144,6 +144,15 @@ def test_unequal_node_counts_are_named():
         pair_interface(structure)
 
 
+@pytest.mark.parametrize(
+    "flank, told", [("tip", r"\d+ nodes on the blade, 0 on"), ("clamp", r"0 nodes on the blade, \d+ on")]
+)
+def test_a_boundary_of_one_body_is_no_flank(flank, told):
+    structure = assemble(FIR_TREE)
+    with pytest.raises(InterfaceError, match=rf'flank "{flank}": {told} the disk; a flank has curves of both bodies'):
+        pair_interface(structure, [flank])
+
+
 def test_nodes_further_apart_than_the_tolerance_are_named():
     structure = assemble(shift=1e-5)
     with pytest.raises(InterfaceError, match=r'flank "joint": .* is 1e-05 m away .* allowed are 4e-08 m'):

@@ -83,6 +83,7 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
             "[outputs.tip]\nboundary = 'tip'\ndirection = [0, 0]",
             r"outputs\.tip\.direction = \[0, 0\]: should not be the zero vector",
         ),
+        ("[contact]\nflanks = []", r"contact\.flanks = \[\]: has too few entries; give at least 1$"),
         ("[contact]\n[contact]", r"not valid TOML"),
         ("frequency = 900", r"not valid TOML: a key that was given before \(at end of document\)$"),
         ("[loads.s]\nspeed = 9000", r'loads\.s\.speed = 9000: unknown key; it belongs to kind = "rotation"$'),

@@ -357,6 +357,11 @@ def test_what_the_laws_take_no_notice_of_is_told(laws, wear, told):
         assert "ignored" not in solution.summary() and "pulls by" not in solution.summary()
 
 
+def test_samples_may_be_a_float_that_is_whole(rubbing):
+    for ask in (rubbing.sliding_speed, lambda samples: rubbing.history("slip", samples)):
+        np.testing.assert_array_equal(ask(8.0), ask(8))
+
+
 @pytest.mark.parametrize("samples", [0, -1, 2.5, "many"])
 def test_histories_need_a_number_of_samples(rubbing, samples):
     with pytest.raises(ModelError, match=r"samples = .*give a whole number"):
