@@ -58,7 +58,7 @@ ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no l
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
-MEAN_SHARE = 1e-3  # error of the mean friction of a pair that sticks throughout, over all forces: little tells of it
+MEAN_SHARE = 1e-6  # error of the mean friction of a pair that sticks throughout, over all forces: little tells of it
 
 
 def solve(
@@ -314,8 +314,10 @@ def attend_to_faint_forces(
     if not goals.size:
         return found
     goal = max(TIGHTEST, goals.min())
-    closer = run_newton(balance, found.unknowns, goal, linear_solver, LAST_STEPS, near=True)
-    steps = found.iterations + closer.iterations
+    unknowns, taken = balance.take_whole_steps(found.unknowns, LAST_STEPS, goal)  # a line search may take none of them
+    begin = found.unknowns if unknowns is None else unknowns
+    closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
+    steps = found.iterations + taken + closer.iterations
     return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
 
 

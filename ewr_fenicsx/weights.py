@@ -31,7 +31,8 @@ DIRECT_STEPS = 8  # Newton steps from the default weights' solution as it is, be
 WALK_STEPS = 220  # Newton steps of a walk; one is given up as soon as it would take more at its pace
 # Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
 FAR = 30.0
-LARGEST_STAGED = 3000  # unknowns: with more, a splitting takes so long that there is one stage only
+LARGEST_STAGED = 3000  # unknowns: with more, a splitting takes so long that there is one stage only, and steps so long
+FAR_OFF = 3e-3  # that none are tried before where the default weights' solution leaves more than this: few arrive
 FURTHEST = 3.0  # share of the way, of which a trial may not go beyond: weights would overflow
 
 
@@ -86,7 +87,7 @@ def approach_weights(
     joined = not balance.system.closures  # no path leads from dashpots to springs
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
-    if joined:
+    if joined and (balance.size <= LARGEST_STAGED or np.linalg.norm(balance.residual(begin)) <= FAR_OFF):
         last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
         steps = last.iterations
         if last.converged:

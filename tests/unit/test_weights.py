@@ -54,11 +54,24 @@ def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkey
     assert walks and at_once.converged and at_once.iterations > 2 * staged.iterations
 
 
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_in_large_joints_what_is_far_off_is_not_tried_at_once(far, monkeypatch, share):
+    """Eight steps of seconds each hardly ever led anywhere; splittings do."""
+    balance, usual = far
+    tried, run = [], weights.run_and_follow
+    monkeypatch.setattr(weights, "run_and_follow", lambda *given, **more: tried.append(given) or run(*given, **more))
+    monkeypatch.setattr(weights, "LARGEST_STAGED", balance.size - 1)
+    left = np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid)))
+    monkeypatch.setattr(weights, "FAR_OFF", share * left)
+    assert approach(far).converged and len(tried) == (share > 1)
+
+
 def test_where_little_slips_the_solution_with_default_weights_is_near_enough(far, monkeypatch):
     """No splitting, and no walk: a few Newton steps from there."""
     case = hard_cases.Case("lap joint", 0.5, ("reached", 0.3), 0.6, 5, 0.05, "closed", (1e3, 1e-3))
     problem = hard_cases.pose_case(case)
     monkeypatch.setattr(weights, "split_at_length", lambda *_: pytest.fail("no splitting is needed"))
+    monkeypatch.setattr(weights, "LARGEST_STAGED", 0)  # what is near is tried in large joints, too
     usual = solve(weights.use_default_weights(problem))
     found = weights.approach_weights(HarmonicBalance(problem.system), usual, 1e-8, "elimination")
     assert found.converged and 0 < found.iterations <= weights.DIRECT_STEPS
