@@ -113,10 +113,8 @@ class TimeScheme:
         model = self.system.model
         reach = (self.theta * self.dt) ** 2
         inertia = model.mass + reach * model.stiffness
-        try:
-            _, modes = scipy.linalg.eigh(
-                reach * model.stiffness, inertia
-            )  # a singular mass does no harm in this pencil
+        try:  # a singular mass does no harm in this pencil
+            _, modes = scipy.linalg.eigh(reach * model.stiffness, inertia)
         except np.linalg.LinAlgError:  # of bodies that float, rounding leaves less than nothing
             raise ModelError(
                 f"frequency = {problem.frequency:g} Hz: with {steps} steps a period, inertia is lost in the rounding "

@@ -31,8 +31,9 @@ DIRECT_STEPS = 8  # Newton steps from the default weights' solution as it is, be
 WALK_STEPS = 220  # Newton steps of a walk; one is given up as soon as it would take more at its pace
 # Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
 FAR = 30.0
-LARGEST_STAGED = 3000  # unknowns: with more, a splitting takes so long that there is one stage only, and steps so long
-FAR_OFF = 3e-3  # that none are tried before where the default weights' solution leaves more than this: few arrive
+# Unknowns above which splittings take so long that there is one stage only, and Newton steps so long that none are
+# tried from the default weights' solution where it leaves more than that: few arrive.
+LARGEST_STAGED, FAR_OFF = 3000, 3e-3
 FURTHEST = 3.0  # share of the way, of which a trial may not go beyond: weights would overflow
 
 
