@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from statistics import mean, median
+from statistics import mean, median, stdev
 
 import numpy as np
 from degenerate_cases import DEGENERATE
@@ -231,8 +231,8 @@ def run_all(task: Callable, arguments: Sequence, jobs: int) -> Iterator[Outcome]
 
 
 def count_up(outcomes: Sequence[Outcome]) -> list[object]:
-    """Cases, converged, its share, Newton steps (mean, median, max) and corners of those converged, fallbacks,
-    seconds.
+    """Cases, converged, its share, Newton steps (mean, its standard error, median, max) and corners of those
+    converged, fallbacks, seconds.
 
     Of the fallbacks, those answered with the default weights in place of the asked ones are counted by themselves.
     """
@@ -244,6 +244,7 @@ def count_up(outcomes: Sequence[Outcome]) -> list[object]:
         len(solved),
         100 * len(solved) / len(outcomes),
         float(mean(steps)),
+        stdev(steps) / len(steps) ** 0.5 if len(steps) > 1 else 0.0,
         float(median(steps)),
         max(steps),
         float(mean([o.corners for o in solved] or [0])),
@@ -254,7 +255,7 @@ def count_up(outcomes: Sequence[Outcome]) -> list[object]:
     ]
 
 
-HEADER = ["cases", "converged", "%", "mean steps", "median", "max", "mean corners", "with fallbacks"]
+HEADER = ["cases", "converged", "%", "mean steps", "standard error", "median", "max", "mean corners", "with fallbacks"]
 HEADER += ["default weights", "mean s", "max s"]
 
 

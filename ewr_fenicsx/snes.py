@@ -35,7 +35,9 @@ STALLS = ((CLOSER, 8, 0.85), (1e-5, 5, 0.8))
 # step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
 # residual fall, there are new or double factors.
 REFINE_FROM, REFINEMENTS = 500, 10
-FAR_ITERATIONS = 60  # to the same tolerance without such factors (``inexact_step.py``): a twentieth of their time
+# To the same tolerance without such factors (``inexact_step.py``), in a twentieth of their time, above this residual:
+# below, a few exact steps arrive, which share factors.
+FAR_ITERATIONS, FAR_FROM = 60, 5e-3
 FAR_TOLERANCE, CLOSE_TOLERANCE, ROUGH_TOLERANCE = 0.25, 1e-4, 1e-10
 
 
@@ -246,7 +248,8 @@ class _HalvedNewton:
         """
         equations = self.equations
         balance, linearised = equations.balance, equations.step
-        if not (equations.far and is_direct(ksp) and is_large(balance, linearised)):
+        gross = equations.far and np.linalg.norm(linearised.residual) > FAR_FROM
+        if not (gross and is_direct(ksp) and is_large(balance, linearised)):
             return False
         found = iterate(balance, linearised, right_side.array_r, FAR_TOLERANCE, FAR_ITERATIONS, equations.shift)
         if found is not None:
