@@ -58,9 +58,9 @@ ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no l
 # Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
 OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
-# Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces, and at most:
-# little tells of it.
-MEAN_SHARE, MOST_OFF = 100.0, 0.1
+# Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces: little tells
+# of it.
+MEAN_SHARE = 100.0
 
 
 def solve(
@@ -308,7 +308,7 @@ def attend_to_faint_forces(
         least = HELD_SHARE * springs * np.maximum(np.linalg.norm(own, axis=0), FAINT)
         missed.append(least[balance.held & (np.abs(left[0]) > least)])
     if mean:
-        least = min(MEAN_SHARE * tolerance, MOST_OFF) * balance.static_row * balance.static_force_row
+        least = MEAN_SHARE * tolerance * balance.static_row * balance.static_force_row
         loose = (least > 0) & (np.abs(left[0]) > least)
         if np.any(loose):
             missed.append(least[loose & balance.linearise(found.unknowns).steady])

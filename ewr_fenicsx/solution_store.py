@@ -94,12 +94,12 @@ def gather_output(solutions: Sequence[PeriodicSolution], name: str, orders: tupl
 
 
 def gather_figure(solutions: Sequence[PeriodicSolution], name: str) -> RealArray:
-    """``(n,)`` a figure of merit of every solution.
+    """``(n,)`` a figure of merit of every solution, of which there is one at least.
 
     Raises:
         ModelError: There is no such figure.
     """
-    known = solutions[0].merit if solutions else {}
+    known = solutions[0].merit
     if name not in known:
         raise ModelError(f'no figure "{name}"; there are {", ".join(known)}{nearest(name, known)}')
     return np.array([s.merit[name] for s in solutions])

@@ -1,4 +1,4 @@
-"""What a problem keeps of what it was given: nothing that is done to it afterwards."""
+"""What a problem keeps of what it was given: nothing that is done to it afterwards. And what its copies are."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from small_models import random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate
 from ewr_fenicsx.given import keep
 from ewr_fenicsx.weights import adopt_weights
 
@@ -64,6 +64,22 @@ def test_what_was_pickled_can_be_written_to_no_more_than_before():
         for array in (model.mass, model.tangential, model.rigid_modes, kept.loads[1], kept.wear):
             assert not array.flags.writeable
         assert not kept.laws[0][1].friction.flags.writeable
+
+
+@pytest.mark.parametrize("modal", [True, False])
+def test_a_steady_state_can_be_sent_to_another_process(modal):
+    damping = np.diag([0.1, 0.2]) if modal else np.array([[0.1, 0.05], [0.05, 0.2]])
+    stiffness = np.diag([1.0, 3.0])
+    model = ReducedModel(np.eye(2), damping, stiffness, [[0.0, 1.0]], load={1: [1.0, 0.5]}, outputs={"x": [1, 1]})
+    found = integrate(ContactProblem(model, ContactLaws(tangential="frictionless"), 0.1, 3), steps=50, periods=3)
+    assert found.scheme.is_diagonal == modal
+    sent = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(sent.output("x"), found.output("x"))
+    again, first = (integrate(s.problem, s.end, steps=50, periods=1).output("x") for s in (sent, found))
+    np.testing.assert_array_equal(again, first)
+    position, velocity, carried = sent.scheme.begin(found.end)
+    ahead = [s.scheme.run_period(position, velocity, carried, 1e-8, 100) for s in (sent, found)]
+    np.testing.assert_array_equal(ahead[0].positions, ahead[1].positions)
 
 
 def test_loads_and_outputs_of_a_model_cannot_be_written_to():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -395,22 +394,6 @@ def test_names_and_frequencies_that_do_not_exist_are_refused():
     still = ReducedModel(mass=[[1.0]], damping=[[0.0]], stiffness=[[1.0]], normal=[[1.0]])
     with pytest.raises(ModelError, match="needs a period"):
         TimeScheme(ContactProblem(still, ContactLaws(tangential="frictionless"), 0.0, (0,)), 10)
-
-
-@pytest.mark.parametrize("modal", [True, False])
-def test_a_steady_state_can_be_sent_to_another_process(modal):
-    damping = np.diag([0.1, 0.2]) if modal else np.array([[0.1, 0.05], [0.05, 0.2]])
-    stiffness = np.diag([1.0, 3.0])
-    model = ReducedModel(np.eye(2), damping, stiffness, [[0.0, 1.0]], load={1: [1.0, 0.5]}, outputs={"x": [1, 1]})
-    found = integrate(ContactProblem(model, ContactLaws(tangential="frictionless"), 0.1, 3), steps=50, periods=3)
-    assert found.scheme.is_diagonal == modal
-    sent = pickle.loads(pickle.dumps(found))
-    np.testing.assert_array_equal(sent.output("x"), found.output("x"))
-    again, first = (integrate(s.problem, s.end, steps=50, periods=1).output("x") for s in (sent, found))
-    np.testing.assert_array_equal(again, first)
-    position, velocity, carried = sent.scheme.begin(found.end)
-    ahead = [s.scheme.run_period(position, velocity, carried, 1e-8, 100) for s in (sent, found)]
-    np.testing.assert_array_equal(ahead[0].positions, ahead[1].positions)
 
 
 def test_a_period_so_long_that_inertia_is_lost_is_refused():
