@@ -37,6 +37,10 @@ from ewr_fenicsx.law_kinds import Law
 # Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
 # as pairs that slip move each other. A few times either way cost some iterations.
 SCALE = {"displacement": 3.0, "velocity": 1.0}
+# Bodies above their modes move against forces. At a harmonic where some move by about minus the force over the scale,
+# the structure's answer grows large and the iteration diverges. How many times larger scales are tried for rows that
+# oppose displacements, and the growth of an answer from which on they are.
+FIRMNESSES, MOST_GROWTH = (1.0, 3.0, 10.0), 5.0
 SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as in a balance; and at least
 PROGRESS, ROUNDING = 0.7, 1e-10  # share of itself to which a defect must fall in time; rounding in the extrapolation
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
@@ -101,22 +105,24 @@ class Splitting:
         needed = max(FEWEST_SAMPLES, samples, round_up(SAMPLES * orders[-1])) if orders[-1] else 1
         self.basis = FourierBasis(orders, needed)
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
-        self.scale, self.ratio = np.ones((2, balance.rows))
+        usual = np.ones(balance.rows)
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             self.by_rate[rows] = rate = law.opposes == "velocity"
-            self.scale[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
+            usual[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
-        self.scale[~self.by_rate] *= softness
-        self.scale[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
-        for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
-            if law.impedance is not None:
-                self.ratio[rows] = self.scale[rows] / law.impedance
+        usual[~self.by_rate] *= softness
+        usual[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
         self.known = np.ones(balance.rows, dtype=bool)  # rows whose mean force is sought
         if balance.basis.has_mean:
             self.known = balance.unknown[0]
         self.admit = [self._make_admit(*owner) for owner in zip(balance.system.laws, balance.law_rows, strict=True)]
-        self._invert()
+        for firmness in FIRMNESSES:
+            self._weigh(np.where(self.by_rate, usual, firmness * usual))
+            if self.growth <= MOST_GROWTH:
+                break
+        else:
+            self._weigh(usual)
 
     def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, RealArray, RealArray], None]:
         """Writes what a law admits: it sees trial forces of its own side, and the truncated ones of the other."""
@@ -139,6 +145,24 @@ class Splitting:
             admissible[:, rows] = found
 
         return admit
+
+    def _weigh(self, scale: RealArray) -> None:
+        """Sets the scale, ``(m,)``, and finds the structure's answers with it."""
+        self.scale, self.ratio = scale, np.ones(scale.size)
+        for law, rows in zip(self.balance.system.laws, self.balance.law_rows, strict=True):
+            if law.impedance is not None:
+                self.ratio[rows] = scale[rows] / law.impedance
+        self._invert()
+
+    @property
+    def growth(self) -> float:
+        """How many times its size a part of the state grows where the structure reflects it, at any harmonic.
+
+        A cheap guess at the reflection's largest singular value: the sum of their squares, were all others 1.
+        """
+        identity = np.eye(self.balance.rows)
+        reflected = np.linalg.norm(2.0 * self.inverse[self.balance.basis.has_mean :] - identity, axis=(1, 2))
+        return float(np.sqrt(max(0.0, reflected.max(initial=0.0) ** 2 - (self.balance.rows - 1))))
 
     def _invert(self) -> None:
         """Finds ``x`` as ``inverse @ state + unforced``, harmonic by harmonic; the mean has rigid coordinates too."""

@@ -209,6 +209,27 @@ def test_where_it_does_not_settle_newton_climbs(monkeypatch, always_split):
     assert solve(replace(problem)).iterations > climbed
 
 
+def test_scales_are_firmer_where_bodies_above_their_modes_would_blow_a_state_up(monkeypatch):
+    """At some harmonic they move against the force by about as much as the scale divides it."""
+
+    def split(harmonics: int, *firmnesses: float) -> Splitting:
+        monkeypatch.setattr(splitting_module, "FIRMNESSES", firmnesses)
+        return Splitting(HarmonicBalance(replace(PROBLEMS["floating, slip"], harmonics=harmonics).system))
+
+    given = splitting_module.FIRMNESSES
+    usual, few, chosen, none = split(63, 1.0), split(15, *given), split(63, *given), split(63, 1.0, 3.0)
+    np.testing.assert_array_equal(few.scale, split(15, 1.0).scale)
+    reflected = 2 * usual.inverse[1:] - np.eye(usual.balance.rows)
+    assert usual.growth == pytest.approx(np.linalg.norm(reflected, 2, axis=(1, 2)).max(), rel=0.1)
+    assert chosen.growth < 5 < 30 < usual.growth
+    np.testing.assert_allclose(chosen.scale, np.where(usual.by_rate, 1, 10) * usual.scale)
+    assert settle(usual, usual.begin(), 1e-3).defect > 0.03
+    found = settle(chosen, chosen.begin(), 1e-3)
+    assert found.defect <= 1e-3 and found.iterations < 40
+    np.testing.assert_array_equal(none.scale, usual.scale)  # where nothing tried is firm enough
+    np.testing.assert_array_equal(none.inverse, usual.inverse)
+
+
 def test_a_structure_without_an_answer_is_climbed(monkeypatch, always_split):
     def refuse(_):
         raise np.linalg.LinAlgError
