@@ -217,16 +217,14 @@ def estimate_together(
     see the share ``1 - (N / N')^rate`` of the error, and its whole is returned.
     """
     problem, seen = look_further(solution)
-    looks = (look(ahead, solution, figure, seen) for ahead in approach(solution, problem, accuracy))
-    first = next(looks, Look(np.inf, np.inf))
-    if first.error > CLEAR * accuracy or (CLEAR * first.error < accuracy and moved < SURPRISE * first.error):
-        return first
-    return next(looks, Look(np.inf, np.inf))
-
-
-def look(ahead: PeriodicSolution, solution: PeriodicSolution, figure: Figure | None, seen: float) -> Look:
-    """What a solution with more harmonics tells of one, where the two see a share of its error."""
-    return Look(measure_distance(ahead, solution, figure) / seen, compare_sliding(ahead, solution) / seen)
+    looks = (
+        (ahead, measure_distance(ahead, solution, figure) / seen) for ahead in approach(solution, problem, accuracy)
+    )
+    lost = None, np.inf
+    ahead, error = next(looks, lost)
+    if not (error > CLEAR * accuracy or (CLEAR * error < accuracy and moved < SURPRISE * error)):
+        ahead, error = next(looks, lost)
+    return Look(error, np.inf if ahead is None else compare_sliding(ahead, solution) / seen)
 
 
 def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> float:
@@ -296,7 +294,9 @@ def estimate_at_once(
     if seen_ahead.error > CLEAR * USUAL and solution.unknowns <= LARGEST_AHEAD:
         problem, seen = look_further(solution)
         ahead = solve(problem, solution, fallbacks=False, raise_on_failure=False)
-        seen_ahead = look(ahead, solution, figure, seen) if ahead.converged else seen_ahead
+        if ahead.converged:
+            error, sliding = measure_distance(ahead, solution, figure), compare_sliding(ahead, solution)
+            seen_ahead = Look(error / seen, sliding / seen)
     return ErrorEstimate(
         seen_ahead.error, np.nan, modes=estimate_modes(solution, modes, figure), sliding=seen_ahead.sliding
     )

@@ -62,7 +62,7 @@ class Effort(NamedTuple):
     window: int  # iterations that the extrapolation looks back on
 
 
-QUICK = Effort(400, 100, 10)
+QUICK = Effort(400, 100, 20)
 
 
 class Split(NamedTuple):
