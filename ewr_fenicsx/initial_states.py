@@ -29,10 +29,10 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
     elif start is None or isinstance(start, str):
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
-        apart = bool(np.any(problem.clearance > 0))
-        at_rest = find_rest(problem) if apart or is_held_by_friction(problem) else None
-        if start == "rest" and apart and not at_rest:
-            raise ModelError(f'start = "rest": no static solution was found across the clearances; {_STARTS}')
+        moves = bool(np.any(problem.clearance > 0)) or is_held_by_friction(problem)
+        at_rest = find_rest(problem) if moves else None
+        if start == "rest" and moves and not at_rest:
+            raise ModelError(f'start = "rest": no static solution of the laws was found; {_STARTS}')
         found = at_rest or find_full_stick(problem)
         rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
         state = rest if at_rest or start == "rest" else state_of(found)
@@ -78,7 +78,7 @@ def keep_means(problem: ContactProblem) -> ContactProblem:
         else (pairs, laws)
         for pairs, laws in problem.groups
     ]
-    return replace(problem, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
+    return replace(problem, frequency=0.0, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
 
 
 def state_of(solution: PeriodicSolution) -> State:

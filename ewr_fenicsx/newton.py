@@ -55,8 +55,10 @@ OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mos
 USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
-# Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, over all forces
-OWN_SHARE, FAINT, LAST_STEPS = 1e5, 1e-12, 10  # and Newton steps to get there
+# Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, of all;
+# no more than a share of it where tolerances are loose, or so many times the tolerance
+OWN_SHARE, LOOSE_SHARE, LOOSELY, FAINT = 1e5, 1e-2, 100.0, 1e-12
+LAST_STEPS = 10  # Newton steps to get there
 HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
 # Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces: little tells
 # of it.
@@ -301,7 +303,8 @@ def attend_to_faint_forces(
         return found
     mean = int(balance.basis.has_mean)
     left, own = (balance.place(at) for at in (balance.residual(found.unknowns), found.unknowns))
-    least = OWN_SHARE * tolerance * np.maximum(np.linalg.norm(own[mean:], axis=0), FAINT)
+    share = min(OWN_SHARE * tolerance, max(LOOSE_SHARE, LOOSELY * tolerance))
+    least = share * np.maximum(np.linalg.norm(own[mean:], axis=0), FAINT)
     missed = [least[np.linalg.norm(left[mean:], axis=0) > least]]
     if mean and np.any(balance.held):
         springs = balance.static_displacement_row * balance.system.flexibility

@@ -72,7 +72,9 @@ def walks_on(period: Period, scheme: TimeScheme) -> bool:
     speed = np.abs(weight * period.velocities).max(initial=0.0)
     changed = np.abs(weight * (period.velocities[-1] - period.velocities[0])).max(initial=0.0)
     gone = np.abs(weight * (period.positions[-1] - period.positions[0])).max(initial=0.0)
-    return bool(changed <= _SAME * speed and gone > _GONE * speed * scheme.steps * scheme.dt)
+    pushed = scheme.dt * np.abs(weight * scheme.velocity_of_load).max(initial=0.0)
+    far = max(_GONE * speed * scheme.steps * scheme.dt, _ROUNDED * pushed)  # where all sticks, both are rounding
+    return bool(changed <= _SAME * speed and gone > far)
 
 
 class Anderson:

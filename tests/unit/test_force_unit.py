@@ -79,9 +79,10 @@ def test_a_large_preload_takes_no_digits_from_a_lightly_loaded_joint_beside_it(p
     laws = ContactLaws(friction=0.3)
     alone, beside = solve(ContactProblem(light, laws, 0.2, 9)), solve(ContactProblem(both, laws, 0.2, 9))
     followed = solve_from(beside.problem, solve(replace(beside.problem, frequency=0.21)))
-    for found in (beside, followed):
+    loose = solve(replace(beside.problem), tolerance=1e-4)  # it took no step: a row could leave ten times its force
+    for found, share in ((beside, 1e-3), (followed, 1e-3), (loose, 0.1)):
         off = np.linalg.norm(found.output("light")[1:] - alone.output("tip")[1:])
-        assert off < 1e-3 * np.linalg.norm(alone.output("tip")[1:])
+        assert off < share * np.linalg.norm(alone.output("tip")[1:])
 
 
 def test_next_to_nothing_decides_the_mean_friction_of_a_pair_that_sticks_and_still_it_is_solved_for():

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, initial_states, integrate, solve
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.time_stepping import State
 
 PULL, NORMAL, ALONG, CLAMP = 200.0, 1e6, 2e6, 1e6  # N; stiffness of the flank, along it, and of the clamp [N/m]
 GROUND = 2e5
+LIMIT = 0.3
 
 
 def clamped_flank(shake: float) -> ReducedModel:
@@ -35,6 +37,15 @@ def clamped_flank(shake: float) -> ReducedModel:
         outputs={"y": [0, 1.0, 0, 0, 0]},
         pair_area=[1e-4, 1e-4],
     )
+
+
+def held_mass(pull: float, shake: float, harmonics: int = 5, closure: str = "mass") -> ContactProblem:
+    """A mass of 1 kg on a spring of 1 N/m that rubs on a wall with ``LIMIT`` [N] at most, pulled and shaken [N]."""
+    model = ReducedModel(
+        [[1.0]], [[0.05]], [[1.0]], tangential=[[1.0]], load={0: [pull], 1: [shake]}, outputs={"tip": [1.0]}
+    )
+    laws = ContactLaws("prescribed", normal_force=1.0, friction=LIMIT, static_friction="held")
+    return ContactProblem(model, laws, 0.1, harmonics, closure=closure)
 
 
 def clamp(static_friction: str = "held", tangential: str = "coulomb", squeeze: float = 1000.0) -> list:
@@ -155,3 +166,26 @@ def test_a_pair_that_holds_takes_over_what_another_wears_off():
     spent = PULL / (GROUND + CLAMP)  # approach at which the flank carries nothing [m]
     assert worn.depth[-1][0] == pytest.approx(spent, rel=0.1)
     assert worn.solutions[-1].history("friction_force")[:, 1].mean() == pytest.approx(CLAMP * spent, rel=0.1)
+
+
+@pytest.mark.parametrize("harmonics", [3, 25])
+@pytest.mark.parametrize("closure", ["mass", "dashpot"])
+def test_a_motion_from_rest_begins_where_friction_leaves_a_static_load(harmonics, closure):
+    """With more than five harmonics the static solution was not found, and it began at full stick, without a word."""
+    problem = held_mass(1.0, 0.05, harmonics, closure)
+    for start in ("rest", None):
+        steady = integrate(problem, start)
+        assert steady.transient("tip")[0] == pytest.approx(1.0 - LIMIT, rel=1e-6)
+        assert steady.converged and steady.output("tip")[0].real == pytest.approx(1.0 - LIMIT, rel=0.1)
+
+
+def test_no_rest_is_made_up_where_friction_holds(monkeypatch):
+    monkeypatch.setattr(initial_states, "find_rest", lambda problem: None)
+    with pytest.raises(ModelError, match="no static solution of the laws was found; give"):
+        integrate(held_mass(1.0, 0.05), "rest", steps=100, periods=1)
+
+
+def test_a_mass_that_friction_holds_still_does_not_walk():
+    """Its rounding ended elsewhere each period, with the same velocities, which was told as a body that walks."""
+    steady = integrate(held_mass(0.2, 0.05), "rest", steps=2000, periods=300, tolerance=1e-8)
+    assert "walks" not in steady.reason and np.abs(steady.output("tip")).max() < 1e-9
