@@ -23,6 +23,7 @@ from ewr_fenicsx.solution import PeriodicSolution
 SAMPLES = 1024
 ALIKE = 1e-3  # of the largest value, that curves drawn as one lie apart at most
 DPI = 150
+HEADROOM = 1.05  # times the largest value, up to which an axis from zero goes
 LEAST = {
     "normal_force": 1e-6,
     "friction_force": 1e-6,
@@ -188,7 +189,8 @@ def draw_curves(
     axes.set_xlabel(across)
     units = {name[name.rfind("[") :] for name in series}
     axes.set_ylabel(next(iter(series)) if len(series) == 1 else "".join(units) if len(units) == 1 else "")
-    axes.set_ylim(bottom=0.0)
+    highest = max((float(np.nanmax(values, initial=0.0)) for values in series.values()), default=0.0)
+    axes.set_ylim(0.0, HEADROOM * highest or None)
     if len(series) > 1 or np.any(hollow):
         axes.legend()
     save_picture(figure, path, dpi=DPI)

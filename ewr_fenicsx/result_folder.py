@@ -125,6 +125,9 @@ def _name_failure(folder: Path | str = "") -> Iterator[None]:
 
 
 def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
+    place = _follow_links(folder)
+    if Path.cwd().is_relative_to(place):  # it is replaced as a whole
+        raise OutputError(f"result folder {place} holds the folder that this runs in; give another --out")
     if folder.is_dir() and any(folder.iterdir()):
         if not overwrite:
             raise OutputError(
@@ -135,7 +138,6 @@ def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
                 f"result folder {folder} holds {foreign[0]!r}{f' and {len(foreign) - 1} more' if foreign[1:] else ''}, "
                 f"which {'this command does not write' if own else 'no run wrote'}; move it away, or give another --out"
             )
-    place = _follow_links(folder)
     if (place.exists() or place.is_symlink()) and not place.is_dir():
         raise OutputError(f"result folder {folder} is a file; give another --out")
     ancestor = next(parent for parent in place.parents if parent.exists())

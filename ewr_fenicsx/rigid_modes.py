@@ -16,6 +16,7 @@ _EPS = float(np.finfo(float).eps)
 # Roundings of the largest eigenvalue of the scaled stiffness, at least and from so many coordinates on as many, below
 # which one is zero; and times that, below which nobody can tell.
 _ROUNDED, _DOUBTFUL = 100, 100
+_NOTHING = 1e-12  # forces over those of the stiffest motion, that rounding may make where nothing resists
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
 
 
@@ -73,7 +74,8 @@ def check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
     """
     force = np.abs(stiffness @ modes).max(axis=0)
     scale = np.maximum((np.abs(stiffness) @ np.abs(modes)).max(axis=0), np.finfo(float).tiny)  # no stiffness at all
-    meets = force / scale
+    rounding = _NOTHING * np.abs(stiffness).max(initial=0.0) * np.abs(modes).max(axis=0, initial=0.0)
+    meets = np.where(force > rounding, force / scale, 0.0)
     if np.any(meets > 1e-6):
         worst = int(np.argmax(meets))
         raise ModelError(

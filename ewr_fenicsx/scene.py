@@ -136,7 +136,7 @@ class Wear(Section):
         "paper's studies; give what was measured for your surfaces.",
         ge=0,
     )
-    cycles: Integer = entry(3000, "-", "Cycles of the excitation to follow.", ge=1)
+    cycles: Integer = entry(3000, "-", "Cycles of the excitation to follow.", ge=1, le=10**12)
     tolerance: Number | None = entry(
         None,
         "-",

@@ -69,7 +69,7 @@ class Contact(Section):
         "coulomb", "-", "Tangential law: `coulomb`, `frictionless`, `bonded`, or one of your own."
     )
     parameters: Parameters = Field({}, description="Parameters of laws of your own, by name.")
-    friction: Number = entry(0.2, "-", "Coefficient of friction, for the law `coulomb`.", ge=0)
+    friction: Number = entry(0.2, "-", "Coefficient of friction, for the law `coulomb`.", ge=0, le=1e6)
     static_friction: StaticFriction = entry(
         "resolved",
         "-",
@@ -108,7 +108,7 @@ class Flank(Section):
     normal: Normal | None = entry(None, "-", "Normal law of this flank.")
     tangential: Tangential | None = entry(None, "-", "Tangential law of this flank.")
     parameters: Parameters | None = entry(None, "-", "Parameters of laws of your own on this flank.")
-    friction: Number | None = entry(None, "-", "Coefficient of friction of this flank.", ge=0)
+    friction: Number | None = entry(None, "-", "Coefficient of friction of this flank.", ge=0, le=1e6)
     static_friction: StaticFriction | None = entry(None, "-", "Mean friction force of this flank.")
     initial_gap: Number | None = entry(None, "m", "Initial clearance of this flank's pairs.", ge=0)
     normal_force: Number | None = entry(None, "N", "Normal force of each of this flank's pairs.", ge=0)

@@ -119,7 +119,7 @@ class RotationLoad(Section):
     """The centrifugal body force of a rotation about an axis normal to the plane; static."""
 
     kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
-    speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0)
+    speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0, le=1e9)
     centre: Vector = entry(..., "m", "Where the axis meets the plane (x, y), in the mesh's coordinates.")
 
     @property

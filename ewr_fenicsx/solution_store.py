@@ -120,8 +120,15 @@ def write_records(group: h5py.Group, records: Sequence[Record]) -> None:
 
 
 def read_records(group: h5py.Group) -> list[Record]:
-    """Read what ``write_records`` wrote."""
+    """Read what ``write_records`` wrote.
+
+    Raises:
+        OSError: A solution that converged is not finite: the file is damaged.
+    """
     arrays = {name: group[name][()] for name in ("frequency", "forces", "rigid", *_NUMBERS)}
+    found = arrays["converged"].astype(bool)
+    if not all(np.isfinite(arrays[name][found]).all() for name in ("frequency", "forces", "rigid")):
+        raise OSError(f"it is damaged: {group.name} holds solutions that are not finite")
     texts = {name: [json.loads(text) for text in group[name][()]] for name in _TEXTS}
     harmonics = [_freeze(h) for h in texts["harmonics"]]
     return [

@@ -6,6 +6,7 @@ slow time is crossed, cycle by cycle or in jumps, says ``cycle_jumps.py``.
 
 from __future__ import annotations
 
+import time
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,8 @@ from ewr_fenicsx.solution_store import fingerprint, gather_figure, gather_output
 from ewr_fenicsx.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear_store import WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
+
+WORTH = 10.0  # seconds of work that are worth a new version of the file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,7 +167,8 @@ def evolve_wear(
         deepest: Stop where some pair has worn deeper than this [m].
         file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however
             often and wherever it was killed, leaves the same file, byte for byte. None: nothing is written.
-        checkpoint_every: Solves between two updates of ``file``, which is also written on an interruption.
+        checkpoint_every: Solves between two updates of ``file`` at most, which is also written after some seconds of
+            work, and on an interruption.
         tolerance: As in ``solve``.
         accuracy: As in ``solve_to_accuracy``: harmonics, samples and weights are chosen for the unworn joint, looked at
             again at every step that is kept, and raised where they no longer do. None: those of the problem.
@@ -219,15 +223,16 @@ def evolve_wear(
     if store and (state is None or not run.is_done(state)):
         check_place(store.path)
     state = state or run.begin()
-    saved = state if store else None
+    saved, since = state if store else None, time.monotonic()
     try:
         with count_progress("wear", cycles, progress) as report:
             report(state.latest.cycle)
             for state in run.go_on(state):  # noqa: B020
                 report(state.latest.cycle)
-                if store and state.solves - saved.solves >= checkpoint_every:
+                due = time.monotonic() - since >= WORTH  # where solves are slow, fewer of them
+                if store and (due or state.solves - saved.solves >= checkpoint_every):
                     store.write(state)
-                    saved = state
+                    saved, since = state, time.monotonic()
     finally:
         if store and state is not saved:
             store.write(state)

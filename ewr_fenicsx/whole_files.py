@@ -57,7 +57,10 @@ def open_file(path: Path) -> Iterator[h5py.File | None]:
             yield None
             return
         with h5py.File(path, "r") as file:
-            yield file
+            try:
+                yield file
+            except KeyError as lacking:  # a reader asked for what every such file has
+                raise OSError(f"it is damaged: {lacking.args[0]}") from lacking
 
 
 def check_place(path: Path) -> None:

@@ -28,7 +28,7 @@ ROUNDING = 1e-8  # largest difference of a matrix that is the same, over its lar
 
 def name_work_folder(results: Path) -> Path:
     """Where the work is kept on the way to a result folder."""
-    return results.with_name(f"{results.name}.partial")
+    return results.parent / f"{results.name}.partial"
 
 
 def holds_work(folder: Path, comm: MPI.Comm) -> bool:

@@ -238,6 +238,15 @@ def test_the_unit_of_curves_stands_at_their_axis(monkeypatch, tmp_path, series, 
     assert axes.get_ylabel() == label and (axes.get_legend() is not None) == told
 
 
+@pytest.mark.parametrize("height", [2.0, 0.0])
+def test_a_flat_curve_does_not_lie_on_the_frame(monkeypatch, tmp_path, height):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_curves(tmp_path / "curves.png", "cycles", np.array([0.0, 1.0]), {"rms [mm]": np.full(2, height)})
+    low, high = figures[0].axes[0].get_ylim()
+    assert low == 0.0 and high > 1.04 * height and high > 0
+
+
 def test_curves_that_coincide_are_one_under_both_names(monkeypatch, tmp_path):
     """As of flanks that are each other's mirror image, where the last would hide all others."""
     figures = []

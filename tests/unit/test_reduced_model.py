@@ -93,6 +93,15 @@ def test_matrices_must_be_square(name):
         ReducedModel(**PLAIN | {name: np.ones((2, 3))})
 
 
+def test_rigid_modes_that_only_rounding_resists_are_none_the_less():
+    """As the turn of a block, in a reduced model, whose nodes lie on a line: its rows of the stiffness are rounding."""
+    stiffness = np.diag([1e9, 1e-7])
+    model = ReducedModel(**PLAIN | {"stiffness": stiffness, "rigid_modes": [[0.0], [1.0]]})
+    assert model.rigid_modes.shape == (2, 1)
+    with pytest.raises(ModelError, match="meets elastic forces of 1 of the stiffness"):
+        ReducedModel(**PLAIN | {"stiffness": np.diag([1e9, 1e-2]), "rigid_modes": [[0.0], [1.0]]})
+
+
 def test_matrices_may_be_sparse_and_lists():
     sparse = {name: scipy.sparse.csr_matrix(PLAIN[name]) for name in ("mass", "damping", "stiffness", "normal")}
     model = ReducedModel(**sparse)

@@ -6,11 +6,13 @@ import fcntl
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.result_folder import check_target, hold_target, result_folder
+from ewr_fenicsx.work_folder import name_work_folder
 
 
 def write_run(folder, value: str, **options) -> None:
@@ -88,6 +90,18 @@ def test_a_link_that_leads_nowhere_is_refused_before_any_work(tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(OutputError, match=r"loop is a file; give another --out"):
         check_target(tmp_path / "loop")
+
+
+@pytest.mark.parametrize("folder", [".", "", "..", "/"])
+def test_the_folder_that_a_run_is_in_is_not_replaced(folder, tmp_path, monkeypatch):
+    """It left the shell in a folder that was gone, and results of which it said that they could not be written."""
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    monkeypatch.chdir(inside)
+    name_work_folder(Path(folder))  # before it is looked at
+    with pytest.raises(OutputError, match="holds the folder that this runs in; give another --out"):
+        check_target(Path(folder))
+    assert not list(inside.iterdir())
 
 
 def test_what_another_run_wrote_in_the_meantime_is_kept(tmp_path):

@@ -72,6 +72,12 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ),
         ("[loads.s]\nkind = 'rotatoin'\nspeed = 1", r'loads\.s\.kind = \'rotatoin\': should be "force" or "rotation"'),
         ("[loads.s]\nkind = 'rotation'\nspeed = 9000", r"loads\.s\.centre: missing, and it has no default$"),
+        (
+            "[loads.s]\nkind = 'rotation'\nspeed = 1e200",
+            r"loads\.s\.speed = 1e\+200: should be less than or equal to 1",
+        ),
+        ("[contact]\nfriction = 1e300", r"contact\.friction = 1e\+300: should be less than or equal to 1"),
+        ("[wear]\ncycles = 10000000000000000", r"wear\.cycles = 1\d+: should be less than or equal to 1"),
         ("[loads.s]\nkind = 'rotation'\nspeed = 0", r"loads\.s\.speed = 0: should be greater than 0"),
         ("[damping]\nkind = 'rayleigh'\nalpha = 1", r"damping\.beta: missing"),
         ("[damping]\nfrequencies = [3000, 500]", r"damping: the two frequencies should rise"),

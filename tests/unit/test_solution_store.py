@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from unittest.mock import ANY
 
+import h5py
 import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.law_kinds import load_laws
-from ewr_fenicsx.solution_store import fingerprint, restore, strip
+from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip, write_records
+from ewr_fenicsx.whole_files import open_file, replace_file
 
 LAWS = ContactLaws(friction=0.3)
 
@@ -34,6 +37,21 @@ def test_records_know_which_harmonics_were_left_out():
     back = restore(solution.problem, strip(solution))
     assert (back.left_out, back.why_left_out) == (solution.left_out, solution.why_left_out) == ((0, 2, 4), ANY)
     assert back.why_left_out
+
+
+@pytest.mark.parametrize("damage, why", [("lost", "damaged: .*forces"), ("nan", "damaged: .*not finite")])
+def test_a_file_of_damaged_solutions_is_named(damage, why, tmp_path):
+    """Readable as HDF5: what was not a number went into a run, which then failed far from there."""
+    with replace_file(tmp_path / "block.h5") as file:
+        write_records(file, [strip(solve(ContactProblem(dovetail(), LAWS, 600.0)))])
+    with h5py.File(tmp_path / "block.h5", "r+") as file:
+        if damage == "nan":
+            file["forces"][0, 1, 2] = np.nan
+        else:
+            del file["forces"]
+    told = rf"block\.h5 cannot be read: it is {why}.*; give another place"
+    with pytest.raises(OutputError, match=told), open_file(tmp_path / "block.h5") as file:
+        read_records(file)
 
 
 def test_fingerprints_tell_problems_apart():

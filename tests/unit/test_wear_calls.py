@@ -135,6 +135,18 @@ def test_a_finished_file_is_read_where_nothing_can_be_written(tmp_path, monkeypa
     np.testing.assert_array_equal(run().depth, first.depth)
 
 
+@pytest.mark.parametrize("worth, versions", [(0.0, 5), (1e9, 1)])
+def test_slow_solves_are_kept_as_they_are_found(worth, versions, tmp_path, monkeypatch):
+    """A hundred of them, as of long jumps, may take hours: a run that was killed had lost all."""
+    written = []
+    write = wear.WearFile.write
+    monkeypatch.setattr(wear.WearFile, "write", lambda *given: written.append(write(*given)))
+    monkeypatch.setattr(wear, "WORTH", worth)
+    problem = ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 600.0)
+    evolve_wear(problem, 5, 1e-10, file=tmp_path / "wear.h5", progress=False)
+    assert len(written) == versions
+
+
 def test_a_resumed_run_shows_at_once_what_is_done(tmp_path, monkeypatch):
     """The next cycle may take long; until then the bar stood at 0."""
     told, follow = [], cycle_jumps.solve_from
