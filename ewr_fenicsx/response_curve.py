@@ -80,8 +80,8 @@ class FrequencyResponse:
     def unstable(self) -> np.ndarray:
         """``(n,)`` solutions that motions in time leave: between two folds, alternating, or in a spiral.
 
-        Only where frequencies run back is there a side of folds to look at: its sign changes there, and else only
-        where branches cross (``PeriodicSolution.side``).
+        Only on a curve whose frequencies run back somewhere is there a side of folds to look at: its sign changes
+        there, and else only where branches cross (``PeriodicSolution.side``).
         """
         return self._find_unstable(progress=self.progress)
 
@@ -98,17 +98,17 @@ class FrequencyResponse:
     ) -> np.ndarray:
         back = np.diff(self.frequencies) < 0
         back[list(self.breaks)] = False
-        near = (np.append(back, False) | np.insert(back, 0, False))[: len(self.solutions)]
+        folds = bool(np.any(back))
         store, known = None, {}
         if work is not None and self.solutions:
             own = [replace(strip(s), seconds=0.0) for s in self.solutions]  # wall times are not theirs alone
-            store = StabilityStore(work, fingerprint(FORMAT, self.solutions[0].problem, own, near))
+            store = StabilityStore(work, fingerprint(FORMAT, self.solutions[0].problem, own, folds))
             known = do_on_rank_zero(lambda: store.read(len(own)), comm)
         left = [k for k in range(len(self.solutions)) if k not in known]
 
         def look(k: int) -> bool:
             solution, since = self.solutions[k], time.monotonic()
-            leaves = bool(solution.alternates or solution.multiplier != 0 or (near[k] and solution.grows))
+            leaves = bool(solution.alternates or solution.multiplier != 0 or (folds and solution.grows))
             if store and time.monotonic() - since >= WORTH_A_POINT:
                 store.write(k, leaves)
             return leaves

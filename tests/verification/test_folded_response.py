@@ -7,6 +7,7 @@ conditions: no harmonic balance, no contact law, none of the package's time step
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from small_models import stop_oscillator
 from ewr_fenicsx import (
     ContactLaws,
     ContactProblem,
+    PeriodicSolution,
     ReducedModel,
     continuation,
     following,
@@ -69,6 +71,14 @@ def test_the_middle_branch_is_told_to_be_unstable(curve):
     assert curve.unstable[turns[0] + 1 : turns[1]].all()
     assert not curve.unstable[: turns[0]].any() and not curve.unstable[turns[1] + 1 :].any()
     np.testing.assert_array_equal(curve.table()["unstable"], curve.unstable)
+
+
+def test_where_a_curve_turns_back_its_summaries_say_what_its_table_says(curve, monkeypatch):
+    """Next to a fold a point was stable in the table, and called unstable where it was told of by itself."""
+    np.testing.assert_array_equal([solution.unstable for solution in curve.solutions], curve.unstable)
+    for name, seen in (("grows", True), ("alternates", False), ("multiplier", 0.0)):
+        monkeypatch.setattr(PeriodicSolution, name, seen)
+    assert replace(curve, solutions=[replace(solution) for solution in curve.solutions]).unstable.all()
 
 
 def test_no_determinant_is_looked_at_where_no_curve_turns_back(monkeypatch):
