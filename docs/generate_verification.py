@@ -218,7 +218,8 @@ a defect that it shows may have been mended.
 Converged means a residual below 1e-8, evaluated anew; others end with a reason, or after
 {found["cap_seconds"]:g} s of work. "Mean corners" are those of
 Newton's paths, each a right side and no factorisation: one Newton step serves up to 250 of them. "Default weights"
-counts those answered with these, where nothing led to weights far off.""",
+counts those answered with these, where nothing led to weights far off. A few cases of hundreds of steps decide the mean
+steps, and another sample has others: the "standard error" is how far means of such samples lie apart.""",
         "",
         write_table(["by", "", *found["columns"]], [list(map(show_number, row)) for row in rows]),
         "",

@@ -76,22 +76,26 @@ def test_a_small_sample():
     assert len(check_outcomes(off)) >= 0.9 * len(off)
 
 
+STORED = json.loads((RESULTS / "hard_cases.json").read_text())
+
+
 @cache
 def run_large_sample() -> list[hard_cases.Outcome]:
-    """That of ``benchmarks/results/hard_cases.json``."""
-    seed = json.loads((RESULTS / "hard_cases.json").read_text())["seed"]
-    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0, seed=seed)
+    """The stored one."""
+    usual, off = run_sample(dict.fromkeys(hard_cases.MODELS, 108), cap=60.0, seed=STORED["seed"])
     return usual + off
 
 
 @pytest.mark.slow
 def test_a_large_sample_does_not_fall_behind():
-    """What was reached, with what a slow machine may give up at the cap."""
+    """Hardly a case is lost that was solved, but for what a slow machine may give up at the cap."""
     outcomes = run_large_sample()
     given_up = [o for o in outcomes if o.status == "given up"]
     assert len(given_up) <= 0.015 * len(outcomes), describe(given_up)
     solved = check_outcomes([o for o in outcomes if o.status != "given up"])
-    assert len(solved) >= 0.98 * len(outcomes)
+    failed = [o["name"] for o in STORED["failures"]]
+    lost = [o for o in outcomes if o.status == "not converged" and o.name not in failed]
+    assert len(lost) <= 0.01 * len(outcomes), describe(lost)
     assert np.median([o.steps for o in solved]) <= 12 and np.mean([o.steps for o in solved]) <= 50
 
 
