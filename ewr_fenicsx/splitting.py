@@ -62,7 +62,9 @@ class Effort(NamedTuple):
     window: int  # iterations that the extrapolation looks back on
 
 
-QUICK = Effort(400, 100, 20)
+QUICK = Effort(400, 100, 10)
+# Below this defect an extrapolation may look back further: far off, states of long ago mislead it.
+ROUGH, CLOSE = 1e-2, QUICK._replace(window=20)
 
 
 class Split(NamedTuple):
@@ -245,13 +247,14 @@ def come_near(
     goal = TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE
     try:
         splitting = Splitting(balance)
-        state = begin(splitting)
+        found = settle(splitting, begin(splitting), ROUGH)
+        if found.defect > ROUGH:
+            return
         for _ in range(LOOKS):
-            found = settle(splitting, state, goal)
+            found = settle(splitting, found.state, goal, CLOSE)
             if found.defect >= NEAR_ENOUGH * goal:
                 return
-            state = found.state
-            yield state, splitting.unknowns(state)
+            yield found.state, splitting.unknowns(found.state)
             goal *= NEARER
     except np.linalg.LinAlgError:  # as next to a mode without damping
         return
