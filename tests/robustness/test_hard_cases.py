@@ -208,7 +208,7 @@ def test_mean_friction_of_pairs_that_stick_does_not_depend_on_the_way(monkeypatc
     split = solve(problem, fallbacks=False)
     monkeypatch.setattr(ladder, "can_split", lambda _: False)
     climbed = solve(problem, fallbacks=False)
-    assert split.iterations != climbed.iterations, "two ways"
+    assert np.any(split.forces != climbed.forces), "two ways"
     np.testing.assert_allclose(split.forces, climbed.forces, rtol=0, atol=1e-6 * np.linalg.norm(climbed.forces))
 
 
