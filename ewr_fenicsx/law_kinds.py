@@ -102,8 +102,8 @@ class Law(Protocol):
         opposes: The motion that the force opposes, ``"displacement"`` or ``"velocity"``, where the law is a projection:
             ``force = admit(force - c motion)`` with any positive ``c``. A cold start then finds its way more quickly
             (``splitting.py``); "": it is none.
-        impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; None: it has none, and the start is
-            less near.
+        impedance: ``(K,)`` that ``c`` of the weighted residual, force over motion; where a force opposes a velocity and
+            springs close its truncation, their stiffness [N/m]; None: it has none, and the start is less near.
         has_corners: Whether the residual is linear in what the law sees but for corners, which ``find_corners`` and
             ``differentiate`` tell. Hard cases then find their way where Newton's method stalls (``newton_path.py``).
 

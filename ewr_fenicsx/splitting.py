@@ -13,9 +13,10 @@ under given normal forces friction is a monotone problem, and the iteration conv
 elsewhere. Contact that opens on bodies driven above their modes is not monotone, and there it may end nowhere. With
 Anderson's extrapolation a hundred iterations cost as much as a few Newton steps; a Newton matrix is never formed.
 
-The admissible forces' harmonics that the balance leaves out are closed as there, by the laws' own ``impedance``: what
-the iteration tends to is the balance's solution, but for the samples a period, of which fewer will do. Springs and
-masses that close a truncation have none: dashpots of the scale take their place, and what comes out is near only.
+The admissible forces' harmonics that the balance leaves out are closed as there, by the laws' own ``impedance``, that
+of dashpots or springs: what the iteration tends to is the balance's solution, but for the samples a period, of which
+fewer will do. Masses that close a truncation have none: dashpots of the scale take their place, and what comes out is
+near only.
 
 Sources: Lions & Mercier (1979), doi:10.1137/0716071; Walker & Ni (2011), doi:10.1137/10078356X.
 """
@@ -26,13 +27,14 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import scipy.fft
 import scipy.signal
 
 from ewr_fenicsx.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.harmonics import FourierBasis, round_up, sample_amplitudes
-from ewr_fenicsx.law_kinds import Law
+from ewr_fenicsx.law_kinds import Law, Signal
 
 # Scale of a row: this over its own flexibility, for velocities also over omega and the root of the number of such rows,
 # as pairs that slip move each other. A few times either way cost some iterations.
@@ -95,7 +97,9 @@ class Splitting:
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
-        ratio: ``(m,)`` that over the law's own impedance.
+        ratio: ``(m,)`` that over the impedance of what closes each row's truncation; one where there is none.
+        opposed: ``(n_h, m)`` motion that is opposed over displacement [1/s], or 1.
+        share: ``(n_f, m)`` of each harmonic of a state that the samples tell, were it left out: the force's.
 
     Raises:
         numpy.linalg.LinAlgError: The structure has no answer.
@@ -106,18 +110,23 @@ class Splitting:
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
         needed = max(FEWEST_SAMPLES, samples, round_up(SAMPLES * orders[-1])) if orders[-1] else 1
         self.basis = FourierBasis(orders, needed)
+        self.orders = np.array(orders)
+        self.halves = np.where(self.orders == 0, 1.0, 0.5)[:, None]  # of an amplitude, in a spectrum
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
-        usual = np.ones(balance.rows)
+        self.sprung, usual = np.zeros(balance.rows, dtype=bool), np.ones(balance.rows)
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             self.by_rate[rows] = rate = law.opposes == "velocity"
+            self.sprung[rows] = rate and law.closes == "springs" and law.impedance is not None
             usual[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
         usual[~self.by_rate] *= softness
         usual[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
-        self.known = np.ones(balance.rows, dtype=bool)  # rows whose mean force is sought
+        self.opposed = np.where(self.by_rate, balance.rate[:, None], 1.0)
+        self.opposed[:, self.sprung] = self._differ(self.orders)
+        self.sought = np.ones(self.opposed.shape, dtype=bool)  # a mean that is set to zero is not
         if balance.basis.has_mean:
-            self.known = balance.unknown[0]
+            self.sought[0] = balance.unknown[0]
         self.admit = [self._make_admit(*owner) for owner in zip(balance.system.laws, balance.law_rows, strict=True)]
         for firmness in FIRMNESSES:
             self._weigh(np.where(self.by_rate, usual, firmness * usual))
@@ -126,7 +135,12 @@ class Splitting:
         else:
             self._weigh(usual)
 
-    def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, RealArray, RealArray], None]:
+    def _differ(self, orders: np.ndarray) -> ComplexArray:
+        """Rates of change from sample to sample [1/s] at harmonics ``(n,)``, as a column: so springs see them."""
+        step = 2 * np.pi / self.basis.samples
+        return (self.balance.compliance.omega * (1 - np.exp(-1j * step * orders)) / step)[:, None]
+
+    def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, ComplexArray, RealArray], None]:
         """Writes what a law admits: it sees trial forces of its own side, and the truncated ones of the other."""
         index = self.balance.system.index
         columns = {d: at[law.pairs] for d, at in index.items() if np.all(at[law.pairs] >= 0)}
@@ -134,11 +148,12 @@ class Splitting:
         other = {d: at for d, at in columns.items() if d not in own}
         given = {}
         if "normal" not in columns:
-            given["normal"] = sample_amplitudes(self.balance.system.prescribed, law.pairs, self.basis.samples)
+            normal = sample_amplitudes(self.balance.system.prescribed, law.pairs, self.basis.samples)
+            given["normal"] = lambda: normal
 
-        def admit(trial: RealArray, truncated: RealArray, admissible: RealArray) -> None:
-            seen = {d: trial[:, at] for d, at in own.items()} | {d: truncated[:, at] for d, at in other.items()}
-            found = law.admit(given | seen)
+        def admit(trial: RealArray, truncated: ComplexArray, admissible: RealArray) -> None:
+            across = {d: lambda at=at: self._sample(truncated[:, at]) for d, at in other.items()}
+            found = law.admit(Signal(lambda: trial, own, given | across))
             if np.shape(found) != (wanted := (len(trial), rows.size)):
                 raise ModelError(
                     f"{type(law).__name__}.admit returns an array of shape {np.shape(found)}; give one of {wanted}, "
@@ -154,6 +169,8 @@ class Splitting:
         for law, rows in zip(self.balance.system.laws, self.balance.law_rows, strict=True):
             if law.impedance is not None:
                 self.ratio[rows] = scale[rows] / law.impedance
+        harmonics = np.arange(self.basis.samples // 2 + 1)
+        self.share = 1 / (1 + self.ratio * np.where(self.sprung, self._differ(harmonics), 1.0))
         self._invert()
 
     @property
@@ -169,7 +186,7 @@ class Splitting:
     def _invert(self) -> None:
         """Finds ``x`` as ``inverse @ state + unforced``, harmonic by harmonic; the mean has rigid coordinates too."""
         balance, compliance = self.balance, self.balance.compliance
-        weight = np.where(self.by_rate, balance.rate[:, None], 1.0) * self.scale
+        weight = self.opposed * self.scale
         matrices = weight[:, :, None] * compliance.flexibility + np.eye(balance.rows)
         loads = -weight * compliance.free_motion
         self.inverse, self.unforced = np.zeros_like(matrices), np.zeros_like(loads)
@@ -182,9 +199,10 @@ class Splitting:
 
     def _invert_mean(self) -> None:
         """The same for the mean. Friction sees nothing of it but what the balance adds to its mean equation."""
-        balance, compliance, known = self.balance, self.balance.compliance, self.known
-        share = np.where(self.by_rate, self.ratio * balance.firm.static_force_row, 0.0)
-        stiffness = np.where(self.by_rate, self.ratio * balance.firm.static_displacement_row, self.scale)
+        balance, compliance, known = self.balance, self.balance.compliance, self.sought[0]
+        ratio = np.where(self.sprung, 1.0, self.ratio)
+        share = np.where(self.by_rate, ratio * balance.firm.static_force_row, 0.0)
+        stiffness = np.where(self.by_rate, ratio * balance.firm.static_displacement_row, self.scale)
         matrix = np.diag(1.0 + share) + stiffness[:, None] * compliance.flexibility[0].real
         moved = -stiffness * (compliance.free_motion[0].real + np.where(self.by_rate, 0.0, self.offset))
         turned, seen = stiffness[:, None] * balance.rigid_motion, compliance.rigid_motion.T
@@ -200,18 +218,26 @@ class Splitting:
         )
         self.rigid_inverse[:, known], self.rigid_unforced = inverse[np.ix_(rigid, forces)], unforced[rigid]
 
-    def respond(self, state: RealArray) -> tuple[ComplexArray, ComplexArray]:
-        """The state's harmonics, as far as sought, and the forces that the structure makes of them, ``(n_h, m)``."""
-        harmonics = self.basis.to_amplitudes(self.basis.project(state))
-        if self.basis.has_mean:
-            harmonics[0, ~self.known] = 0.0  # a mean that is set to zero is left out like other harmonics
+    def _analyse(self, state: RealArray) -> ComplexArray:
+        """The harmonics that samples ``(n_t, m)`` tell, ``(n_f, m)``: of each but the mean half the amplitude."""
+        return scipy.fft.rfft(state, axis=0, norm="forward")
+
+    def _sample(self, spectrum: ComplexArray) -> RealArray:
+        """Samples ``(n_t, m)`` of what ``_analyse`` makes of them."""
+        return scipy.fft.irfft(spectrum, self.basis.samples, axis=0, norm="forward")
+
+    def respond(self, spectrum: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """The harmonics sought of a state's, and the forces that the structure makes of them, ``(n_h, m)``."""
+        harmonics = np.where(self.sought, spectrum[self.orders] / self.halves, 0.0)
         return harmonics, np.matmul(self.inverse, harmonics[:, :, None])[:, :, 0] + self.unforced
 
     def compare(self, state: RealArray) -> tuple[RealArray, RealArray]:
         """Forces of the structure, and what the laws admit of them, ``(n_t, m)`` each."""
-        harmonics, kept = self.respond(state)
-        truncated = self.basis.synthesise(kept)
-        forces = truncated + (state - self.basis.synthesise(harmonics)) / (1 + self.ratio)
+        spectrum = self._analyse(state)
+        whole, truncated = self.share * spectrum, np.zeros_like(spectrum)
+        truncated[self.orders] = self.halves * self.respond(spectrum)[1]
+        whole[self.orders] = np.where(self.sought, truncated[self.orders], whole[self.orders])
+        forces = self._sample(whole)
         trial, admissible = 2 * forces - state, np.empty_like(state)
         for admit in self.admit:
             admit(trial, truncated, admissible)
@@ -219,7 +245,7 @@ class Splitting:
 
     def unknowns(self, state: RealArray) -> RealArray:
         """The balance's unknowns at a state."""
-        harmonics, kept = self.respond(state)
+        harmonics, kept = self.respond(self._analyse(state))
         rigid = self.rigid_unforced
         if rigid.size:
             rigid = (self.rigid_inverse @ harmonics[0].real + rigid) * self.balance.mean_flexibility
@@ -231,8 +257,7 @@ class Splitting:
 
     def join(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
         """The state of forces [N] and motions [m] of all rows, ``(n_h, m)``, which need not fit each other."""
-        opposed = np.where(self.by_rate, self.balance.rate[:, None], 1.0) * motion
-        return self.basis.synthesise(forces + self.scale * opposed) + self.scale * self.offset
+        return self.basis.synthesise(forces + self.scale * self.opposed * motion) + self.scale * self.offset
 
 
 def resample(state: RealArray, splitting: Splitting) -> RealArray:

@@ -82,6 +82,10 @@ class SprungCoulomb(FrictionLaw):
     direction: str = "tangential"
     closes: str = "springs"
 
+    @property
+    def impedance(self) -> RealArray:
+        return 1 / self.flexibility
+
     def run(self, motion: Motion) -> Stop:
         """The admissible friction force, and since when each pair sticks."""
         drive = motion.force["tangential"] - motion.oscillation["tangential"] / self.flexibility
