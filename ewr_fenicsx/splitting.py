@@ -43,6 +43,7 @@ SCALE = {"displacement": 3.0, "velocity": 1.0}
 # the structure's answer grows large and the iteration diverges. How many times larger scales are tried for rows that
 # oppose displacements, and the growth of an answer from which on they are.
 FIRMNESSES, MOST_GROWTH = (1.0, 3.0, 10.0), 5.0
+BLOCK = 8  # harmonics whose answers are found at once, after which growth is looked at
 SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as in a balance; and at least
 PROGRESS, ROUNDING = 0.7, 1e-10  # share of itself to which a defect must fall in time; rounding in the extrapolation
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
@@ -129,11 +130,11 @@ class Splitting:
             self.sought[0] = balance.unknown[0]
         self.admit = [self._make_admit(*owner) for owner in zip(balance.system.laws, balance.law_rows, strict=True)]
         for firmness in FIRMNESSES:
-            self._weigh(np.where(self.by_rate, usual, firmness * usual))
-            if self.growth <= MOST_GROWTH:
+            if self._weigh(np.where(self.by_rate, usual, firmness * usual), MOST_GROWTH):
                 break
         else:
             self._weigh(usual)
+        self._invert_mean()
 
     def _differ(self, orders: np.ndarray) -> ComplexArray:
         """Rates of change from sample to sample [1/s] at harmonics ``(n,)``, as a column: so springs see them."""
@@ -163,42 +164,42 @@ class Splitting:
 
         return admit
 
-    def _weigh(self, scale: RealArray) -> None:
-        """Sets the scale, ``(m,)``, and finds the structure's answers with it."""
+    def _weigh(self, scale: RealArray, most: float = np.inf) -> bool:
+        """Sets the scale, ``(m,)``, and finds the structure's answers with it; False where one grows above ``most``."""
         self.scale, self.ratio = scale, np.ones(scale.size)
         for law, rows in zip(self.balance.system.laws, self.balance.law_rows, strict=True):
             if law.impedance is not None:
                 self.ratio[rows] = scale[rows] / law.impedance
         harmonics = np.arange(self.basis.samples // 2 + 1)
         self.share = 1 / (1 + self.ratio * np.where(self.sprung, self._differ(harmonics), 1.0))
-        self._invert()
+        return self._invert(most)
 
-    @property
-    def growth(self) -> float:
-        """How many times its size a part of the state grows where the structure reflects it, at any harmonic.
+    def _invert(self, most: float) -> bool:
+        """Finds ``x`` as ``inverse @ state + unforced`` for all harmonics but the mean, until an answer grows too much.
 
-        A cheap guess at the reflection's largest singular value: the sum of their squares, were all others 1.
+        ``growth`` is how many times its size a part of the state grows where the structure reflects it: a cheap guess
+        at the reflection's largest singular value, the sum of their squares were all others 1. Answers that grow are
+        those of high harmonics, which come first.
         """
-        identity = np.eye(self.balance.rows)
-        reflected = np.linalg.norm(2.0 * self.inverse[self.balance.basis.has_mean :] - identity, axis=(1, 2))
-        return float(np.sqrt(max(0.0, reflected.max(initial=0.0) ** 2 - (self.balance.rows - 1))))
-
-    def _invert(self) -> None:
-        """Finds ``x`` as ``inverse @ state + unforced``, harmonic by harmonic; the mean has rigid coordinates too."""
-        balance, compliance = self.balance, self.balance.compliance
-        weight = self.opposed * self.scale
-        matrices = weight[:, :, None] * compliance.flexibility + np.eye(balance.rows)
-        loads = -weight * compliance.free_motion
-        self.inverse, self.unforced = np.zeros_like(matrices), np.zeros_like(loads)
-        oscillate = slice(1 if balance.basis.has_mean else 0, None)
-        self.inverse[oscillate] = np.linalg.inv(matrices[oscillate])
-        self.unforced[oscillate] = np.matmul(self.inverse[oscillate], loads[oscillate, :, None])[:, :, 0]
-        self.rigid_inverse, self.rigid_unforced = np.zeros((balance.rigid, balance.rows)), np.zeros(balance.rigid)
-        if balance.basis.has_mean:
-            self._invert_mean()
+        compliance, identity = self.balance.compliance, np.eye(self.balance.rows)
+        weight, self.growth = self.opposed * self.scale, 0.0
+        self.inverse, self.unforced = np.zeros_like(compliance.flexibility), np.zeros_like(weight)
+        oscillate = np.flatnonzero(self.orders)[::-1]
+        for at in np.split(oscillate, range(BLOCK, oscillate.size, BLOCK)):
+            self.inverse[at] = np.linalg.inv(weight[at, :, None] * compliance.flexibility[at] + identity)
+            self.unforced[at] = -np.matmul(self.inverse[at], (weight * compliance.free_motion)[at, :, None])[:, :, 0]
+            reflected = np.linalg.norm(2.0 * self.inverse[at] - identity, axis=(1, 2)).max(initial=0.0)
+            self.growth = max(self.growth, float(np.sqrt(max(0.0, reflected**2 - (self.balance.rows - 1)))))
+            if self.growth > most:
+                return False
+        return True
 
     def _invert_mean(self) -> None:
-        """The same for the mean. Friction sees nothing of it but what the balance adds to its mean equation."""
+        """The same for the mean, with rigid coordinates. Friction sees of it what the balance adds to its equation."""
+        self.rigid_inverse = np.zeros((self.balance.rigid, self.balance.rows))
+        self.rigid_unforced = np.zeros(self.balance.rigid)
+        if not self.balance.basis.has_mean:
+            return
         balance, compliance, known = self.balance, self.balance.compliance, self.sought[0]
         ratio = np.where(self.sprung, 1.0, self.ratio)
         share = np.where(self.by_rate, ratio * balance.firm.static_force_row, 0.0)

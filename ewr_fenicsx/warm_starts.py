@@ -14,10 +14,11 @@ from ewr_fenicsx.growing_sets import come_near_through_sets
 from ewr_fenicsx.newton_step import NewtonStep
 from ewr_fenicsx.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.splitting import WORTHWHILE, Splitting, are_projections, come_near
+from ewr_fenicsx.splitting import DEAR_FROM, WORTHWHILE, Splitting, are_projections, come_near
 
 SAME_MOTION = 1e-6  # relative difference between two motions below which they are one
-FAR = 5e-3  # residual of what is carried over, above which a splitting may be worth its while
+# Residual of what is carried over, above which a splitting may be worth its while: less where Newton steps are dear
+FAR, DEAR_FAR = 5e-3, 1e-3
 # Unknowns whose rows change status, from which on a splitting goes before a guiding step to another frequency: fewer
 # than elsewhere (``WORTHWHILE``), for such a start is far off, and Newton runs from it creep from kink to kink.
 GUIDED_WORTHWHILE = 100
@@ -98,7 +99,8 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     left = np.linalg.norm(balance.residual(carried))
     linearise = cache(lambda: balance.linearise(carried, motion))  # once, and only where it is asked for
     least = WORTHWHILE if same else GUIDED_WORTHWHILE
-    many = left > max(FAR, tolerance) and balance.size >= least and linearise().unknowns_left >= least
+    far = DEAR_FAR if same and balance.size >= DEAR_FROM else FAR
+    many = left > max(far, tolerance) and balance.size >= least and linearise().unknowns_left >= least
     splits = False
     for near in list_near(balance, forces, motion, few_first=same) if many else ():
         splits = True

@@ -149,6 +149,19 @@ def test_where_many_pairs_change_status_a_splitting_goes_on_first(change, monkey
     np.testing.assert_allclose(split.output("tip"), guided.output("tip"), atol=1e-6 * abs(guided.output("tip")[1]))
 
 
+def test_where_newton_steps_are_dear_it_does_so_nearer_to_a_solution_too(monkeypatch):
+    start = solve(replace(SLIPS, harmonics=25, closure="dashpot"))
+    problem = replace(start.problem, harmonics=40)
+    balance = HarmonicBalance(problem.system)
+    left = np.linalg.norm(balance.residual(balance.pack(*(carry_over(start, balance)[i] for i in (0, 2)))))
+    assert warm_starts.DEAR_FAR < left < warm_starts.FAR
+    few = solve(problem, start)
+    monkeypatch.setattr(warm_starts, "DEAR_FROM", balance.size)
+    dear = solve(replace(problem), start)
+    assert dear.iterations < few.iterations
+    np.testing.assert_allclose(dear.forces, few.forces, atol=1e-6 * np.abs(few.forces).max())
+
+
 def test_where_hardly_any_does_the_laws_guide_the_start(monkeypatch):
     start = solve(SLIPS)
     asked = []
