@@ -25,6 +25,7 @@ BalanceAt = Callable[[float], HarmonicBalance]
 _DERIVATIVE_STEP = 1e-8  # step in the parameter for the derivative of the residual, over its span
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
+_LARGE = 0.3  # share of the norm of the unknowns by which steps may be longer, where that is above one: rarely it is
 _STRAIGHT, _ALONG = 0.9, 0.5  # cosine above which a branch goes straight on; and above which two tangents are one
 _AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine
 
@@ -64,7 +65,7 @@ def trace_branch(
         span: Parameter range that counts as one unit of length; its sign is the first direction.
         step: First step, in units of arc length.
         smallest_step: Below this the branch ends.
-        largest_step: No step is longer than this.
+        largest_step: No step is longer than this, or than a like share of large unknowns.
         tolerance: Residual norm of accepted points.
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
@@ -97,7 +98,8 @@ def trace_branch(
         yield replace(found, steps=spent)
         here, spent = found, 0
         ways = [(here, tangent), *ways[:1]]
-        step = min(largest_step, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
+        most = largest_step * max(1.0, _LARGE * float(np.linalg.norm(here.unknowns)))
+        step = min(most, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
 
 
 def _find_way(secant: RealArray, tangent: RealArray | None) -> RealArray:

@@ -36,7 +36,10 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.hill import FOLLOWS, Hill
 
 MOST_UNKNOWNS = 1500  # of Hill's matrix: half a second
-FEWEST = 5  # harmonics of the deviations, below which it is not looked at, but where the solution has no more
+# Harmonics of the deviations at least, also where the solution has fewer: at the edge of fewer, Hill's matrix has
+# exponents that are none. Solutions with more are not looked at with less.
+FEWEST = 5
+SAMPLES = 4 * FEWEST + 2  # a period, at least, of the laws' derivatives
 STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
 GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
 BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
@@ -79,7 +82,7 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
         return 0.0
     if not rows:
         return find_linear_growth(system)
-    slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
+    slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
     if slopes is not None and not slopes.changing.size:
         slopes = slopes.treat_all_as_changing()
     if slopes is None or count_harmonics(system, slopes) < min(top, FEWEST):
@@ -87,7 +90,7 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
     try:
         guesses = guess_exponents(system, forces, rigid, DOUBTFUL if is_small(system, slopes) else GROWTH)
         found = max((refine(system, slopes, guess) for guess in guesses), key=abs, default=0.0)
-        return found if found and is_borne_out(problem, coordinates) else 0.0
+        return found if found and is_borne_out(problem, forces, rigid, coordinates) else 0.0
     except np.linalg.LinAlgError:
         return 0.0
 
@@ -125,16 +128,20 @@ def find_linear_growth(system: ContactSystem) -> complex:
     return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
 
 
-def is_borne_out(problem: ContactProblem, coordinates: ComplexArray) -> bool:
-    """Whether deviations grow along the motion in time that begins on a solution; True where it cannot be stepped."""
+def is_borne_out(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
+    """Whether deviations grow along the motion in time that begins on a solution, or its series where none is stepped.
+
+    Args:
+        problem, forces, rigid, coordinates: As in ``find_growth``.
+    """
     try:
-        slopes = differentiate_along(problem, coordinates)
+        slopes, periods = differentiate_along(problem, coordinates), PERIODS
     except (ModelError, ImportError):
-        return True
+        slopes, periods = differentiate_laws(problem.system, forces, rigid, 2 * STEPS[0]), 1
     if slopes is None:
         return True
     sliding = slopes.slide_through_turns(TURN)
-    return measure_growth(step_deviations(problem.system, sliding, PERIODS).matrix) > BORNE_OUT**PERIODS
+    return measure_growth(step_deviations(problem.system, sliding, periods).matrix) > BORNE_OUT**periods
 
 
 def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
@@ -224,8 +231,8 @@ def is_small(system: ContactSystem, slopes: Slopes) -> bool:
 
 
 def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
-    """Highest harmonic of the deviations: that of the solution, or the highest for which Hill's matrix is not large."""
-    return min(system.basis.orders[-1], (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
+    """Highest harmonic of the deviations: the solution's or some more, as far as Hill's matrix does not grow large."""
+    return min(max(system.basis.orders[-1], FEWEST), (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
 
 
 def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
@@ -249,9 +256,10 @@ def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool
     return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
 
 
-def tell_where_to(alternates: bool, multiplier: complex) -> str:
+def tell_where_to(problem: ContactProblem, alternates: bool, multiplier: complex) -> str:
     """Where motions most often go that leave a solution, and how to see it; words to follow on "leave it"."""
     turns = abs(multiplier.imag) > REAL * abs(multiplier)
     kind = "repeats every second period" if alternates else "never repeats" if turns else ""
     often = f", most often for one that {kind}" if kind else ""
-    return f"{often}; integrate(problem, solution, tolerance=0) shows where to"
+    stepped = "" if problem.own_kinds else "; integrate(problem, solution, tolerance=0) shows where to"
+    return often + stepped

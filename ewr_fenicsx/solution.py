@@ -139,7 +139,8 @@ class PeriodicSolution(PeriodicMotion):
         if self.rigid.size and (walk := measure_walk(*self._pose())).slow:
             lines.append(str(walk))
         if self.unstable:
-            unstable = f"unstable: motions in time leave it{tell_where_to(self.alternates, self.multiplier)}"
+            where_to = tell_where_to(self.problem, self.alternates, self.multiplier)
+            unstable = f"unstable: motions in time leave it{where_to}"
         if self.fallbacks:
             stable = f"this one is {unstable}" if self.unstable else "the stability of this one is not known"
             lines.append(f"found by a fallback: there may be other solutions, and {stable}")

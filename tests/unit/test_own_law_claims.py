@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, solve, solve_to_accuracy
 from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
+from ewr_fenicsx.deviations import differentiate_laws, step_deviations
 from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
 
 
@@ -141,6 +142,37 @@ def test_a_law_that_costs_the_look_at_stability_is_told_where_there_is_something
     """Not where all laws are linear, nor at rest; the same spring without a lag is looked at."""
     assert solve(spring_along("lagging spring", load, cubic=cubic, lag=0.01)).cautions == told
     assert solve(spring_along("claimed spring", load, cubic=cubic)).cautions == ()
+
+
+HARDENING = ReducedModel([[1.0]], [[2.0]], [[1e4]], tangential=[[1.0]], load={1: [20.0]}, outputs={"x": [1.0]})
+CUBIC = ContactLaws("prescribed", "claimed spring", normal_force=0.0, parameters={"linear": 0.0, "cubic": 1.5e7})
+
+
+@pytest.mark.parametrize("harmonics", [3, 4, 5])
+def test_few_harmonics_make_no_instability(harmonics):
+    """A hardening spring far above its linear resonance: with three, deviations have an exponent that is none."""
+    found = None
+    for frequency in range(10, 31, 2):
+        found = solve(ContactProblem(HARDENING, CUBIC, float(frequency), harmonics), found)
+    assert abs(found.output("x")[1]) > 0.04, "on the upper branch"
+    slopes = differentiate_laws(found.problem.system, found.forces, found.rigid, 1024)
+    assert np.abs(np.linalg.eigvals(step_deviations(found.problem.system, slopes).matrix)).max() < 1
+    assert found.multiplier == 0 and not found.unstable
+
+
+def test_a_hardening_spring_is_followed_round_its_folds_to_what_leaves():
+    """Forces there are eighty times those that hold the mass in place, and far less where the branch comes back."""
+    curve = frequency_response(HARDENING, CUBIC, np.linspace(15.0, 45.0, 16), 3, progress=False)
+    between = [solution for solution in curve.solutions if solution.side < 0]
+    assert curve.jumps == () and len(curve.solutions) < 300
+    # one harmonic, at the resonance: a = 20 / (2 omega) and omega^2 = 1e4 + 3/4 1.5e7 a^2
+    peak = np.sqrt((1e4 + np.sqrt(1e8 + 3 * 1.5e7 * 10.0**2)) / 2)
+    resonant = curve.frequencies[np.argmax(np.abs(curve.output("x")[:, 1]))]
+    assert resonant == pytest.approx(peak / (2 * np.pi), rel=0.01)
+    assert len(between) > 50 and all(solution.unstable for solution in between)
+    assert between[len(between) // 2].multiplier.real > 1.1
+    told = between[0].cautions[-1]
+    assert told.startswith("unstable") and "integrate" not in told
 
 
 def test_one_such_law_costs_the_whole_joint_the_look():
