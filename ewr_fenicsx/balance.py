@@ -55,6 +55,7 @@ class HarmonicBalance:
         self.rigid = system.compliance.rigid_motion.shape[1]
         self.law_rows = match_rows(system)
         for law in system.laws:
+            check_row_weights(law)
             check_projection(law)
             check_corners(law)
         self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
@@ -321,6 +322,20 @@ def match_rows(system: ContactSystem) -> list[np.ndarray]:
                 "kind that acts there must build one law for each direction that acts_in names"
             )
     return rows
+
+
+def check_row_weights(law: Law) -> None:
+    """Refuses weights of a law's mean equation that are neither one number nor one a pair.
+
+    Raises:
+        ModelError: A weight has another shape.
+    """
+    for name in ("static_row", "static_force_row", "static_displacement_row", "stick_flexibility"):
+        shape = np.shape(getattr(law, name))
+        if shape not in ((), law.pairs.shape):
+            raise ModelError(
+                f"{type(law).__name__}.{name} has shape {shape}; give one number, or one a pair, {law.pairs.shape}"
+            )
 
 
 def check_projection(law: Law) -> None:

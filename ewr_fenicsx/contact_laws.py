@@ -6,7 +6,7 @@ them here registers them; kinds of your own register themselves the same way (do
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import get_args
@@ -108,9 +108,13 @@ class ContactLaws:
         laws: list[Law] = []
         for side, kind in zip(get_args(Side), self.kinds, strict=True):
             try:
-                laws += kind.build(group)
+                built = kind.build(group)
             except ModelError as error:
                 raise ModelError(f'{side} = "{getattr(self, side)}": {error}') from None
+            if not isinstance(built, Iterable):
+                returned = f"{type(kind).__name__}.build returns one {type(built).__name__}"
+                raise ModelError(f"{returned}; give a tuple of its laws, as (law,)")
+            laws += built
         return laws
 
 

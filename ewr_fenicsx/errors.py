@@ -40,6 +40,12 @@ class ModelError(EwrError, ValueError):
     """A reduced model, a law or a problem is inconsistent: shapes, signs, symmetry, missing rows."""
 
 
+class UnknownSignal(ModelError, KeyError):
+    """A law asks for what it cannot see at its pairs."""
+
+    __str__ = Exception.__str__  # a KeyError's is quoted
+
+
 class UnheldBody(EwrError):
     """A floating body that contact cannot hold under the static load.
 

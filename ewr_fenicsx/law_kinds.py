@@ -18,7 +18,7 @@ from typing import ClassVar, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.errors import ModelError, UnknownSignal, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 
 Side = Literal["normal", "tangential"]
@@ -40,7 +40,15 @@ class Signal(Mapping[str, RealArray]):
     given: Mapping[str, Callable[[], RealArray]] = field(default_factory=dict)
 
     def __getitem__(self, direction: str) -> RealArray:
-        return self.given[direction]() if direction in self.given else self.at_rows()[:, self.columns[direction]]
+        if direction in self.given:
+            return self.given[direction]()
+        if direction not in self.columns:
+            known = ", ".join(f'"{name}"' for name in self) or "none"
+            raise UnknownSignal(
+                f'a law asks for a "{direction}" signal of its pairs, which see {known} of that variable: forces that '
+                "are given, not sought, have no motion"
+            )
+        return self.at_rows()[:, self.columns[direction]]
 
     def __iter__(self) -> Iterator[str]:
         return iter((*self.columns, *self.given))

@@ -39,8 +39,14 @@ def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ..
     A direction that is held has an unknown force all the same where another kind must know it.
 
     Raises:
-        ModelError: A kind does not fit the model's number of tangents.
+        ModelError: A kind does not fit the model's number of tangents, or acts in or holds what is no direction.
     """
+    for kind in kinds:
+        for name in ("acts_in", "holds"):
+            given = getattr(kind, name)(model.tangents)
+            if isinstance(given, str) or not set(given) <= set(DIRECTIONS):
+                known = ", ".join(f'"{direction}"' for direction in DIRECTIONS)
+                raise ModelError(f"{type(kind).__name__}.{name} returns {given!r}; give a tuple of some of {known}")
     needed = {d for kind in kinds for d in kind.needs}
     held = [d for kind in kinds for d in kind.holds(model.tangents)]
     acting = [d for kind in kinds for d in kind.acts_in(model.tangents)] + [d for d in held if d in needed]

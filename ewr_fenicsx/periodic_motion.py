@@ -157,7 +157,7 @@ class PeriodicMotion:
             slips[:, pairs] = any(kind.slides for kind in laws.kinds)
         for law, fields in self.law_fields(basis):
             for name in {"slipping", "open"} & fields.keys():
-                slips[:, law.pairs] |= fields[name]
+                slips[:, law.pairs] |= np.asarray(fields[name], dtype=bool)
             if "surface_slip" in fields:
                 step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
                 velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step

@@ -65,6 +65,14 @@ def pose(kind: type, monkeypatch, **parameters) -> ContactProblem:
             r"Damper\.impedance has shape \(3,\); give one a pair, \(1,\)",
         ),
         ([damper(direction="normal")], r'Damper\.direction = "normal", where .* one in "tangential"'),
+        (
+            [damper(evaluate=lambda self, motion: motion.displacement["normal"])],
+            r'a law asks for a "normal" signal of its pairs, which see "tangential" of that variable',
+        ),
+        (
+            [damper(static_force_row=np.full(3, 1e-4))],
+            r"Damper\.static_force_row has shape \(3,\); give one number, or one a pair, \(1,\)",
+        ),
         ([], r"0 laws own the tangential force of pair 0; the kind that acts there must build one law"),
         ([damper(), damper()], r"2 laws own the tangential force of pair 0"),
     ],
@@ -73,6 +81,26 @@ def test_laws_that_make_no_sense_are_refused(laws, message, monkeypatch):
     """Before, a misspelt variable was taken for a displacement, and a row without a law for solved."""
     with pytest.raises(ModelError, match=message):
         solve(pose(dataclass(make_kind(*laws)), monkeypatch))
+
+
+@pytest.mark.parametrize(
+    "fields, message",
+    [
+        ({"acts_in": lambda *_: "tangential"}, r"Kind\.acts_in returns 'tangential'; give a tuple of some of \"normal"),
+        ({"acts_in": lambda *_: ("tangental",)}, r"Kind\.acts_in returns \('tangental',\); give a tuple of some of"),
+        ({"holds": lambda *_: "normal"}, r"Kind\.holds returns 'normal'; give a tuple"),
+        ({"build": lambda *_: damper()()}, r"Kind\.build returns one Damper; give a tuple of its laws, as \(law,\)"),
+    ],
+)
+def test_kinds_that_make_no_sense_are_refused(fields, message, monkeypatch):
+    with pytest.raises(ModelError, match=message):
+        solve(pose(dataclass(make_kind(damper(), **fields)), monkeypatch))
+
+
+def test_states_that_a_law_tells_as_numbers_count_as_well(monkeypatch):
+    tells = damper(fields=lambda self, motion: {"slipping": np.ones(motion.force["tangential"].shape)})
+    solution = solve(pose(dataclass(make_kind(tells)), monkeypatch))
+    assert np.all(solution.sliding_speed(64).max(axis=0) > 0) and solution.merit["J_T"] > 0
 
 
 def test_a_law_that_admits_no_force_of_each_pair_at_each_instant_is_refused(monkeypatch):
