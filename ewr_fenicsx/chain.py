@@ -24,7 +24,7 @@ from ewr_fenicsx.reduced_model import ReducedModel
 from ewr_fenicsx.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.scene import Scene
 from ewr_fenicsx.scene_joint import Contact
-from ewr_fenicsx.scene_sense import can_wear, doubt_drag, doubt_extent, doubt_frequency, doubt_modes
+from ewr_fenicsx.scene_sense import can_wear, doubt_drag, doubt_frequency, doubt_lengths, doubt_modes
 from ewr_fenicsx.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
@@ -102,7 +102,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
         check_names(scene, mesh)
-        doubts = tuple(doubt_extent(measure_extent(mesh)))
+        doubts = tuple(doubt_lengths(scene, measure_extent(mesh)))
     with watch.stage("matrices"):
         structure = assemble_structure(
             mesh,

@@ -123,7 +123,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     work, overwrite = name_work_folder(folder) if can_resume(scene) else None, arguments.overwrite
     with hold_target(folder, overwrite=overwrite, comm=comm), keep_work(work, comm), show_progress(comm) as progress:
         if work and holds_work(work, comm) and comm.rank == 0:
-            print(f"ewr: going on with the work in {work}", file=sys.stderr, flush=True)
+            print(f"ewr: found interrupted work in {work}", file=sys.stderr, flush=True)
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
         with name_place(scene, chain.interface):

@@ -25,6 +25,7 @@ from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.plots import DPI, FLANK_COLOURS, INK, save_picture
 from ewr_fenicsx.scene import Scene
 
+FRAME = 0.03  # room around what is enlarged, over its size
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
 LONGEST_ARROW, SHORTEST = 0.12, 0.4  # over the mesh's largest extent; of tiny forces, over the longest
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
@@ -56,6 +57,12 @@ def draw_mesh(path: Path, chain: Chain) -> None:
             label = f"{flank}, {mine.sum()} pairs" if axes is joint else None
             axes.plot(*(1e3 * interface.position[mine].T), "o", color=colour, markersize=size, label=label, zorder=4)
     whole.autoscale_view()
+    for limits, enlarged, set_limits in (
+        (whole.get_xlim(), joint.get_xlim(), whole.set_xlim),
+        (whole.get_ylim(), joint.get_ylim(), whole.set_ylim),
+    ):  # the frame of what is enlarged lies within
+        room = FRAME * np.ptp(enlarged)
+        set_limits(min(limits[0], enlarged[0] - room), max(limits[1], enlarged[1] + room))
     middle, spare = np.mean(whole.get_ylim()), LOWEST * np.ptp(whole.get_xlim()) / 2
     if spare > np.ptp(whole.get_ylim()) / 2:
         whole.set_ylim(middle - spare, middle + spare)
@@ -71,7 +78,8 @@ def draw_mesh(path: Path, chain: Chain) -> None:
         zorder=5,
     )
     joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}")
-    whole.indicate_inset_zoom(joint, edgecolor=INK, alpha=0.6)
+    for line in whole.indicate_inset_zoom(joint, edgecolor=INK, alpha=0.6)[1]:
+        line.set_visible(False)  # it would cross labels and legend
     closed = any(scene.laws_on(flank).initial_gap for flank in interface.flanks)
     joint.set_title(f"joint: {len(interface.area)} pairs" + closed * ", drawn without initial gaps")
     whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {len(cells.body)} cells")

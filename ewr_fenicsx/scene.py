@@ -154,7 +154,8 @@ class Solver(Section):
         None,
         "-",
         "Largest relative error of the outputs' oscillation, at every frequency of a sweep, and of the wear rate; the "
-        "solver then chooses harmonics, samples, weights and modes. The error of the mesh is not in it.",
+        "solver then chooses harmonics, samples and modes, and weights and closure unless they are given. The error of "
+        "the mesh is not in it.",
         gt=0,
         lt=1,
     )

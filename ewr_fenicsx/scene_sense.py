@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 SOFTEST = 1e7  # Young's modulus [Pa]
 DENSITIES = (100.0, 25e3)  # [kg/m^3]
 THICKEST, WIDEST, LONGEST = 1.0, 1e-3, 20.0  # thickness, initial gap, extent of the mesh [m]
+FARTHEST = 100.0  # extents of the mesh that the centre of a rotation lies away
 SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 ROUGHEST = 3.0  # coefficient of friction
 MOST_DAMPED = 0.1  # ratio of critical damping
@@ -78,10 +79,23 @@ def find_doubts(scene: Scene) -> Iterator[str]:
         yield 'solver.closure = "spring" does nothing: no flank has the law "coulomb"; remove it'
 
 
-def doubt_extent(extent: float) -> Iterator[str]:
-    """What is probably not meant by a mesh so long [m], one sentence each."""
+def doubt_lengths(scene: Scene, extent: float) -> Iterator[str]:
+    """What is probably not meant by a mesh so long [m], or by lengths beside it, one sentence each."""
     if extent > LONGEST:
         yield f"geometry: the mesh is {extent:g} m long; lengths are in m: were mm meant?"
+    size = scene.geometry.parameters.get("mesh_size")
+    if isinstance(size, int | float) and size > extent:
+        yield (
+            f"geometry.parameters.mesh_size = {size:g} m is longer than the mesh, {extent:g} m; lengths are in m: were "
+            "mm meant?"
+        )
+    for name, load in scene.loads.items():
+        away = math.hypot(*getattr(load, "centre", ()))
+        if away > FARTHEST * extent:
+            yield (
+                f"loads.{name}.centre = {list(load.centre)} lies {away:g} m from the origin of a mesh that is "
+                f"{extent:g} m long; lengths are in m: were mm meant?"
+            )
 
 
 def doubt_modes(scene: Scene, modes: int, highest: float) -> Iterator[str]:

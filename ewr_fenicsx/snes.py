@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from traceback import clear_frames
 from typing import Literal
 
 import numpy as np
@@ -161,7 +162,11 @@ class _Newton:
         if self.limit is not None:
             self.snes.setTolerances(max_it=min(self.limit, self.snes.getTolerances()[3]))
         self.x.array[:] = start
-        self.snes.solve(None, self.x)
+        try:
+            self.snes.solve(None, self.x)
+        except BaseException as error:  # its frames hold what PETSc must not find alive when it ends: a crash at exit
+            clear_frames(error.__traceback__)
+            raise
         code, steps = self.snes.getConvergedReason(), self.snes.getIterationNumber()
         found = self.x.array.copy()
         residual = float(np.linalg.norm(balance.residual(found)))

@@ -61,7 +61,7 @@ def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
     with monkeypatch.context() as patch:
         calls = count_calls(patch, *place)
         code, told = ewr()
-    assert code == 0 and f"ewr: going on with the work in {partial}" in told
+    assert code == 0 and f"ewr: found interrupted work in {partial}" in told
     assert len(calls) == unbroken - done
     assert {path.name for path in tmp_path.iterdir()} == {"broken", "scene.toml"}, "the work is removed"
     with monkeypatch.context() as patch:
@@ -147,7 +147,7 @@ def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         calls = count_calls(patch, *place)
         code, told = ewr()
-    assert code == 0 and len(calls) == 0 and f"ewr: going on with the work in {partial}" in told
+    assert code == 0 and len(calls) == 0 and f"ewr: found interrupted work in {partial}" in told
     assert ewr(out="unbroken")[0] == 0
     assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
 
@@ -169,7 +169,7 @@ def test_a_run_that_a_scheduler_ends_goes_on(ewr, scene, tmp_path, monkeypatch):
         code, told = ewr()
     assert code == 130 and told.endswith("and the same command goes on from there\n")
     code, told = ewr()
-    assert code == 0 and "going on with the work" in told
+    assert code == 0 and "found interrupted work" in told
 
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):

@@ -166,7 +166,7 @@ def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):
     kept = {path.name for path in (partial / "blocks").glob("*.h5")}
     assert kept and "000_0002.h5" not in kept
     done = mpirun(2, "python", "script.py", "results", "-1")
-    assert done.returncode == 0 and done.stderr.count("going on with the work in results.partial") == 1, done.stderr
+    assert done.returncode == 0 and done.stderr.count("found interrupted work in results.partial") == 1, done.stderr
     assert not partial.exists()
     with (tmp_path / "results" / "frequency_response.csv").open() as file:
         table = [[float(row["frequency [Hz]"]), float(row["rms_tip"])] for row in csv.DictReader(file)]

@@ -16,7 +16,7 @@ from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
 from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
 from ewr_fenicsx.scene import Scene, load_scene
-from ewr_fenicsx.scene_sense import doubt_drag, doubt_frequency, doubt_modes, hint_at_lengths
+from ewr_fenicsx.scene_sense import doubt_drag, doubt_frequency, doubt_lengths, doubt_modes, hint_at_lengths
 
 ROOT = Path(__file__).parents[2]
 JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
@@ -250,6 +250,25 @@ def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expect
     with pytest.warns(SceneWarning, match=expected):
         scene = read(text, warn=True)
     assert len(scene.doubts) == 1
+
+
+@pytest.mark.parametrize(
+    "text, extent, told",
+    [
+        ("", 41.5, "geometry: the mesh is 41.5 m long"),
+        ("[geometry.parameters]\nmesh_size = 5", 0.06, "geometry.parameters.mesh_size = 5 m is longer than the mesh"),
+        (
+            "[loads.spin]\nkind = 'rotation'\ncentre = [0.0, -300]\nspeed = 6000",
+            0.06,
+            r"loads.spin.centre = \[0.0, -300.0\] lies 300 m from the origin of a mesh that is 0.06 m long",
+        ),
+    ],
+)  # fmt: skip
+def test_lengths_in_millimetres_are_doubted_beside_the_mesh(read, text, extent, told):
+    (doubt,) = doubt_lengths(read(SCENE + text), extent)
+    assert re.match(told, doubt) and doubt.endswith("were mm meant?")
+    sound = text.replace("= 5", "= 0.005").replace("-300", "-0.3")
+    assert not list(doubt_lengths(read(SCENE + sound), 0.06))
 
 
 def test_loads_above_the_modes_kept_are_doubted(read):

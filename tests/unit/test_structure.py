@@ -21,7 +21,7 @@ ORDER = [
     "sprung_coulomb",
     "inertial_coulomb", "coulomb", "contact_laws", "statics", "compliance", "closure", "layout", "contact_system",
     "composition",
-    "contact_problem", "ignored",
+    "contact_problem", "ignored", "law_claims",
     "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
     "deviations", "hill", "floquet", "walking", "loading_history", "indicators", "periodic_motion", "solution",
     "contact_state", "periodicity", "snes", "initial_states", "progress", "time_integration", "symmetry",
