@@ -68,6 +68,7 @@ class HarmonicBalance:
         if self.basis.has_mean:
             self.unknown[0] = self.static_row > 0
         self.size = int(self.unknown.sum()) + self.rigid
+        self.hangs_on_friction = bool(self.rigid and np.any(self.static_displacement_row > 0))
         self.linear = self.size == 0 or all(law.linear for law in system.laws)
 
     @cached_property

@@ -17,7 +17,7 @@ from ewr_fenicsx.ignored import list_ignored
 from ewr_fenicsx.loading_history import tell_history
 from ewr_fenicsx.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.stability import alternates, find_side
-from ewr_fenicsx.walking import measure_walk
+from ewr_fenicsx.walking import measure_walk, watch_walk
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -136,8 +136,8 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem) + tell_history(self.problem, self.forces, self.rigid)
-        if self.rigid.size and (walk := measure_walk(*self._pose())).slow:
-            lines.append(str(walk))
+        if self.rigid.size:
+            lines += self._tell_walk()
         if self.unstable:
             where_to = tell_where_to(self.problem, self.alternates, self.multiplier)
             unstable = f"unstable: motions in time leave it{where_to}"
@@ -147,6 +147,14 @@ class PeriodicSolution(PeriodicMotion):
         elif self.unstable:
             lines.append(unstable)
         return tuple(lines + self._list_unfollowed())
+
+    def _tell_walk(self) -> list[str]:
+        """Whether a body that hangs on friction walks a little every cycle, so that the motion is nearly periodic."""
+        balance, unknowns = self._pose()
+        if not balance.hangs_on_friction:
+            return []
+        walk = watch_walk(self.problem, balance, self.coordinates) or measure_walk(balance, unknowns)
+        return [str(walk)] if walk.slow else []
 
     def _list_unfollowed(self) -> list[str]:
         """Where the largest multiplier is not looked for because of what a law of one's own sees."""

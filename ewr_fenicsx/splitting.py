@@ -95,6 +95,7 @@ class Splitting:
         balance: A balance all of whose laws are projections.
         samples: A period, at least; more where the harmonics need them.
         softness: Share of its usual scale that a row takes whose law opposes displacements.
+        springs: Whether springs close truncations where laws have them, or dashpots of the scale.
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
@@ -106,7 +107,7 @@ class Splitting:
         numpy.linalg.LinAlgError: The structure has no answer.
     """
 
-    def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0):
+    def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0, *, springs: bool = True):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
         needed = max(FEWEST_SAMPLES, samples, round_up(SAMPLES * orders[-1])) if orders[-1] else 1
@@ -117,7 +118,7 @@ class Splitting:
         self.sprung, usual = np.zeros(balance.rows, dtype=bool), np.ones(balance.rows)
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             self.by_rate[rows] = rate = law.opposes == "velocity"
-            self.sprung[rows] = rate and law.closes == "springs" and law.impedance is not None
+            self.sprung[rows] = springs and rate and law.closes == "springs" and law.impedance is not None
             usual[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
@@ -168,7 +169,7 @@ class Splitting:
         """Sets the scale, ``(m,)``, and finds the structure's answers with it; False where one grows above ``most``."""
         self.scale, self.ratio = scale, np.ones(scale.size)
         for law, rows in zip(self.balance.system.laws, self.balance.law_rows, strict=True):
-            if law.impedance is not None:
+            if law.impedance is not None and (law.closes != "springs" or np.all(self.sprung[rows])):
                 self.ratio[rows] = scale[rows] / law.impedance
         harmonics = np.arange(self.basis.samples // 2 + 1)
         self.share = 1 / (1 + self.ratio * np.where(self.sprung, self._differ(harmonics), 1.0))
@@ -274,6 +275,9 @@ def come_near(
     try:
         splitting = Splitting(balance)
         found = settle(splitting, begin(splitting), ROUGH)
+        if found.defect > ROUGH and np.any(splitting.sprung):  # of these, dashpots lead on in hard cases, if less far
+            splitting = Splitting(balance, springs=False)
+            found = settle(splitting, begin(splitting), ROUGH)
         if found.defect > ROUGH:
             return
         for _ in range(LOOKS):

@@ -3,21 +3,30 @@
 Where pairs stick throughout, friction says nothing of the mean force that each of them carries: springs decide
 (``static_displacement_row``), so weak that they take next to nothing from the law. Where the pairs slip and friction
 cannot carry the mean load, the springs alone would hold the body, drawn out to no end.
+
+What the springs carry in place of friction passes through zero as harmonics are added, and may be small by chance. How
+far a body goes is therefore looked at in time, a few periods from the solution.
 """
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.contact_problem import ContactProblem
+from ewr_fenicsx.deviations import STEPS_IN_TIME, THETA, step_from
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.law_kinds import choose_friction_weight
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
+# Periods in time after which a body still goes on that walks, and those after half of which it went no faster by much
+WATCHED, NO_FASTER = 12, 1.5
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
     "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
@@ -55,6 +64,29 @@ def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     return bool(left.max() > NOTICED * largest)
 
 
+def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray) -> Walk | None:
+    """How a body that hangs on friction goes on in time, some periods after it begins on a solution.
+
+    Args:
+        problem: What was solved.
+        balance: Its balance.
+        coordinates: The solution's amplitudes ``(n_h, n)``.
+
+    Returns:
+        None where its motion cannot be stepped, or has not settled to a walk or none.
+    """
+    rubs, ways = balance.static_displacement_row > 0, []
+    try:
+        for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), WATCHED):
+            slip = period.positions @ scheme.rows[rubs].T
+            ways.append(float(np.abs(slip[-1] - slip[0]).max()))
+    except (ModelError, ImportError):
+        return None
+    if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1]:
+        return None
+    return Walk(1.0, ways[-1], float(np.abs(np.diff(slip, axis=0)).sum(axis=0).max()))
+
+
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
     """How a body that hangs on friction moves on, at a solution ``(size,)`` of the balance.
 
@@ -83,7 +115,7 @@ def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
 def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArray, float]:
     """Mean force ``(m,)`` that friction leaves to springs, zero where it is the solver's, and the largest one [N]."""
     held, springs = balance.static_displacement_row > 0, balance.static_displacement_row.copy()
-    if not (balance.rigid and np.any(held)):
+    if not balance.hangs_on_friction:
         return np.zeros(balance.rows), 1.0
     for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
         # stronger springs than the law's are but for the start of a run

@@ -204,6 +204,27 @@ def test_from_where_it_ends_newton_takes_fewer_steps(monkeypatch, always_split):
     assert 1.5 * split < sum(solve(replace(p)).iterations for p in problems)
 
 
+def test_where_springs_do_not_settle_dashpots_lead_on(monkeypatch):
+    """In joints that bounce, beside a structure that answers as a mass: what comes out is near."""
+    balance = pose(PROBLEMS["lift-off"], "spring")
+    sprung, asked = Splitting(balance), []
+    assert sprung.sprung.any() and not np.any(Splitting(balance, springs=False).sprung)
+
+    def stall(splitting: Splitting, *arguments):
+        asked.append(bool(splitting.sprung.any()))
+        found = settle(splitting, *arguments)
+        return found._replace(defect=0.03) if asked[-1] else found
+
+    monkeypatch.setattr(splitting_module, "settle", stall)
+    _, unknowns = next(splitting_module.come_near(balance, Splitting.begin))
+    assert asked == [True, False, False]
+    assert (
+        np.linalg.norm(balance.residual(unknowns))
+        < 0.1
+        < np.linalg.norm(balance.residual(balance.pack(*balance.full_stick)))
+    )
+
+
 def test_where_it_does_not_settle_newton_climbs(monkeypatch, always_split):
     """No Newton step is lost on a start far from a solution; those lost on one that leads nowhere count."""
     problem = PROBLEMS["floating, slip"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import combinations
 
@@ -107,6 +108,37 @@ def test_a_body_that_walks_slowly_is_told(loads):
     walk = measure(solution)
     assert 0.25 * walk.way < abs(drift(problem)) < 4 * walk.way, "its order"
     assert walk.sliding == pytest.approx(solution.merit["J_T"], rel=1e-2)
+
+
+def block_on_feet(seed: int, harmonics: int) -> ContactProblem:
+    """A rigid block (x, y, angle) on two springy feet, shaken at two frequencies; its numbers drawn at random."""
+    rng = np.random.default_rng(seed)
+    height, stiff, along = 0.05 * rng.random(), 1e5, 5e4
+    mass = np.diag([1, 1, 0.01] + [1e-3] * 4)
+    stiffness = np.diag([0, 0, 0, along, stiff, along, stiff]).astype(float)
+    damping, normal, tangential = np.diag([0, 0, 0, 3.0, 6, 3, 6]), np.zeros((2, 7)), np.zeros((2, 7))
+    for foot, side in enumerate((-1, 1)):
+        normal[foot, [1, 2, 4 + 2 * foot]] = 1, 0.1 * side, -1
+        tangential[foot, [3 + 2 * foot, 0, 2]] = 1, -1, -height
+    load = np.zeros((3, 7), dtype=complex)
+    load[0, 1], load[0, 0] = -10, rng.choice([0, 0, 0.02, 0.2])
+    load[1, 0], load[1, 1] = rng.uniform(0.5, 6), rng.uniform(0, 4) * np.exp(2j * np.pi * rng.random())
+    load[2, 0] = rng.choice([0, rng.uniform(0, 4)]) * np.exp(2j * np.pi * rng.random())
+    loads = {0: load[0].real, 1: load[1], 2: load[2]}
+    model = ReducedModel(mass, damping, stiffness, normal, tangential, loads, outputs={"x": np.eye(7)[0]})
+    return ContactProblem(model, ContactLaws(friction=float(rng.choice([0.2, 0.4]))), 20.0, harmonics)
+
+
+@pytest.mark.parametrize("seed, harmonics", [(212, 9), (107, 15), (31, 15), (50, 3)])
+def test_a_walk_is_told_as_it_is_in_time_also_where_a_truncation_happens_to_leave_next_to_nothing(seed, harmonics):
+    """By up to more than its amplitude a cycle: what springs carry here is a hundredth of what that would take."""
+    solution = solve(block_on_feet(seed, harmonics))
+    moved = integrate(solution.problem, "rest", 1000, 60, tolerance=0).transient("x")
+    walked = abs(moved[-1] - moved[-10001]) / 10
+    assert walked > 0.03 * np.abs(solution.output("x")[1])
+    told = [line for line in solution.cautions if "may walk slowly" in line]
+    assert len(told) == 1
+    assert float(re.search(r"order of (\S+) m", told[0]).group(1)) == pytest.approx(walked, rel=0.4)
 
 
 @pytest.mark.parametrize("name", HELD)
