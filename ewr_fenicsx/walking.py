@@ -27,6 +27,7 @@ HELD = 1e-5  # share below which friction holds it: what decides its mean force 
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 # Periods in time after which a body still goes on that walks, and those after half of which it went no faster by much
 WATCHED, NO_FASTER = 12, 1.5
+NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
     "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
@@ -84,7 +85,8 @@ def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: C
         return None
     if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1]:
         return None
-    return Walk(1.0, ways[-1], float(np.abs(np.diff(slip, axis=0)).sum(axis=0).max()))
+    way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
+    return Walk(1.0, way, float(np.abs(np.diff(slip, axis=0)).sum(axis=0).max()))
 
 
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
