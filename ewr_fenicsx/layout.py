@@ -5,7 +5,7 @@ They follow from the kinds of law alone, so that problems that differ in paramet
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -41,20 +41,23 @@ def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ..
     Raises:
         ModelError: A kind does not fit the model's number of tangents, or acts in or holds what is no direction.
     """
-    for kind in kinds:
-        for name in ("acts_in", "holds"):
-            given = getattr(kind, name)(model.tangents)
-            if isinstance(given, str) or not set(given) <= set(DIRECTIONS):
-                known = ", ".join(f'"{direction}"' for direction in DIRECTIONS)
-                raise ModelError(f"{type(kind).__name__}.{name} returns {given!r}; give a tuple of some of {known}")
     needed = {d for kind in kinds for d in kind.needs}
-    held = [d for kind in kinds for d in kind.holds(model.tangents)]
-    acting = [d for kind in kinds for d in kind.acts_in(model.tangents)] + [d for d in held if d in needed]
+    held = [d for kind in kinds for d in _ask(kind, "holds", model.tangents)]
+    acting = [d for kind in kinds for d in _ask(kind, "acts_in", model.tangents)] + [d for d in held if d in needed]
     return Demand(
         tuple(pairs.tolist()),
         tuple(d for d in DIRECTIONS if d in acting),
         tuple(d for d in DIRECTIONS if d in held and d not in acting),
     )
+
+
+def _ask(kind: LawKind, name: str, tangents: int) -> Sequence[str]:
+    """The directions that a kind names by one of its methods."""
+    given = getattr(kind, name)(tangents)
+    if isinstance(given, str) or not set(given) <= set(DIRECTIONS):
+        known = ", ".join(f'"{direction}"' for direction in DIRECTIONS)
+        raise ModelError(f"{type(kind).__name__}.{name} returns {given!r}; give a tuple of some of {known}")
+    return given
 
 
 @dataclass(frozen=True, eq=False)

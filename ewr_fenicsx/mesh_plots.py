@@ -25,7 +25,6 @@ from ewr_fenicsx.interface import Interface
 from ewr_fenicsx.plots import DPI, FLANK_COLOURS, INK, save_picture
 from ewr_fenicsx.scene import Scene
 
-FRAME = 0.03  # room around what is enlarged, over its size
 WIDE, LOWEST = 2.0, 0.2  # from which width over height panels are stacked; least height over width of a panel
 LONGEST_ARROW, SHORTEST = 0.12, 0.4  # over the mesh's largest extent; of tiny forces, over the longest
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
@@ -56,13 +55,8 @@ def draw_mesh(path: Path, chain: Chain) -> None:
         for axes, size in ((whole, 2), (joint, 6)):
             label = f"{flank}, {mine.sum()} pairs" if axes is joint else None
             axes.plot(*(1e3 * interface.position[mine].T), "o", color=colour, markersize=size, label=label, zorder=4)
+    whole.update_datalim(np.transpose([joint.get_xlim(), joint.get_ylim()]))  # its frame lies within
     whole.autoscale_view()
-    for limits, enlarged, set_limits in (
-        (whole.get_xlim(), joint.get_xlim(), whole.set_xlim),
-        (whole.get_ylim(), joint.get_ylim(), whole.set_ylim),
-    ):  # the frame of what is enlarged lies within
-        room = FRAME * np.ptp(enlarged)
-        set_limits(min(limits[0], enlarged[0] - room), max(limits[1], enlarged[1] + room))
     middle, spare = np.mean(whole.get_ylim()), LOWEST * np.ptp(whole.get_xlim()) / 2
     if spare > np.ptp(whole.get_ylim()) / 2:
         whole.set_ylim(middle - spare, middle + spare)

@@ -99,7 +99,8 @@ class Splitting:
 
     Attributes:
         scale: ``(m,)`` force over the motion that each row's law opposes.
-        ratio: ``(m,)`` that over the impedance of what closes each row's truncation; one where there is none.
+        impedance: ``(m,)`` of what closes each row's truncation as in the balance; NaN where nothing does.
+        ratio: ``(m,)`` the scale over that; one where there is none.
         opposed: ``(n_h, m)`` motion that is opposed over displacement [1/s], or 1.
         share: ``(n_f, m)`` of each harmonic of a state that the samples tell, were it left out: the force's.
 
@@ -116,9 +117,12 @@ class Splitting:
         self.halves = np.where(self.orders == 0, 1.0, 0.5)[:, None]  # of an amplitude, in a spectrum
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
         self.sprung, usual = np.zeros(balance.rows, dtype=bool), np.ones(balance.rows)
+        self.impedance = np.full(balance.rows, np.nan)
         for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
             self.by_rate[rows] = rate = law.opposes == "velocity"
-            self.sprung[rows] = springs and rate and law.closes == "springs" and law.impedance is not None
+            by_springs = law.closes == "springs"
+            if law.impedance is not None and (springs or not by_springs):
+                self.impedance[rows], self.sprung[rows] = law.impedance, by_springs and rate
             usual[rows] = SCALE[law.opposes] / balance.system.flexibility[rows]
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
@@ -167,10 +171,8 @@ class Splitting:
 
     def _weigh(self, scale: RealArray, most: float = np.inf) -> bool:
         """Sets the scale, ``(m,)``, and finds the structure's answers with it; False where one grows above ``most``."""
-        self.scale, self.ratio = scale, np.ones(scale.size)
-        for law, rows in zip(self.balance.system.laws, self.balance.law_rows, strict=True):
-            if law.impedance is not None and (law.closes != "springs" or np.all(self.sprung[rows])):
-                self.ratio[rows] = scale[rows] / law.impedance
+        self.scale = scale
+        self.ratio = np.where(np.isnan(self.impedance), 1.0, scale / self.impedance)
         harmonics = np.arange(self.basis.samples // 2 + 1)
         self.share = 1 / (1 + self.ratio * np.where(self.sprung, self._differ(harmonics), 1.0))
         return self._invert(most)

@@ -38,7 +38,8 @@ WALKS = (
 class Walk(NamedTuple):
     """How a body that hangs on friction moves on; its way is right to the order.
 
-    ``share``: of the largest friction force, that friction leaves to springs; 0 where no body hangs on friction.
+    ``share``: of the largest friction force, that friction leaves to springs; 0 where no body hangs on friction, 1
+    where the way was seen in time, whatever springs carry.
     ``way``: that it goes in a cycle [m]. ``sliding``: the longest way that its pairs slide to and fro in one [m].
     """
 
