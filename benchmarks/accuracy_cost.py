@@ -32,8 +32,7 @@ from reporting import RESULTS, describe_machine, print_table, write_json
 from scipy.optimize import minimize_scalar
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.cost import (
+from ewr_fenicsx.accuracy.cost import (
     ERRORS,
     HIGHEST_VARIANT,
     Figures,
@@ -43,11 +42,12 @@ from ewr_fenicsx.cost import (
     measure_figures,
     survey,
 )
-from ewr_fenicsx.cost_report import time_run
-from ewr_fenicsx.estimates import choose_harmonics, compare_responses
-from ewr_fenicsx.scene import load_scene
-from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.time_integration import SteadyState
+from ewr_fenicsx.accuracy.estimates import choose_harmonics, compare_responses
+from ewr_fenicsx.runs.cost_report import time_run
+from ewr_fenicsx.scene.scene import load_scene
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solver.time_integration import SteadyState
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = ROOT / "demos" / "blade_root.toml"
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23, 27, 31, 40, 50, 63)

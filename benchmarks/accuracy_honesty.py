@@ -34,15 +34,15 @@ from mpi4py import MPI
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import SAMPLES
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.dashpots import use_mobility
+from ewr_fenicsx.accuracy.accuracy import SAMPLES
+from ewr_fenicsx.accuracy.estimates import compare_responses
+from ewr_fenicsx.accuracy.looking_ahead import choose_samples
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import EwrError
-from ewr_fenicsx.estimates import compare_responses
-from ewr_fenicsx.looking_ahead import choose_samples
-from ewr_fenicsx.scene import load_scene
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.problem.dashpots import use_mobility
+from ewr_fenicsx.scene.scene import load_scene
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ACCURACIES = (0.1, 0.03, 0.01)
 ORDERS = (3, 5, 8, 12, 18, 27, 40)

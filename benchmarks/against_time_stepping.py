@@ -34,7 +34,7 @@ from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
-from ewr_fenicsx.time_integration import SteadyState
+from ewr_fenicsx.solver.time_integration import SteadyState
 
 FREQUENCIES = (1000.0, 1200.0)
 LEVELS = (0.03, 0.01, 0.003, 0.001)

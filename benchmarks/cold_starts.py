@@ -25,10 +25,11 @@ import numpy as np
 from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.solution import PeriodicSolution
-from ewr_fenicsx.splitting import Splitting
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solver import ladder
+from ewr_fenicsx.solver.splitting import Splitting
 
 FREQUENCIES = (700.0, 850.0, 950.0, 1000.0, 1050.0, 1100.0, 1200.0, 1400.0)  # Hz
 STATES = ((0.2, 1.0), (0.05, 1.0), (0.4, 2.0))  # friction, load over the demo's

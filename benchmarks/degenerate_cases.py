@@ -9,7 +9,7 @@ import numpy as np
 from models import dovetail, lap_joint
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 
 
 def shake_dovetail(harmonics: int = 5, friction: float = 0.3, frequency: float = 360.0, **laws) -> ContactProblem:

@@ -148,11 +148,11 @@ def pose_full_wear() -> tuple[ContactProblem, np.ndarray]:
 @contextmanager
 def count_calls() -> Iterator[Counter]:
     """Counts SNES objects, law evaluations and cold starts while it is open."""
-    import ewr_fenicsx.newton as newton
-    import ewr_fenicsx.snes as snes
-    from ewr_fenicsx.bonded import Bond
-    from ewr_fenicsx.coulomb import Coulomb
-    from ewr_fenicsx.unilateral import Signorini
+    import ewr_fenicsx.solver.newton as newton
+    import ewr_fenicsx.solver.snes as snes
+    from ewr_fenicsx.laws.bonded import Bond
+    from ewr_fenicsx.laws.coulomb import Coulomb
+    from ewr_fenicsx.laws.unilateral import Signorini
 
     counts: Counter = Counter()
 

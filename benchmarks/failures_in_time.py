@@ -19,7 +19,7 @@ from hard_cases import MODELS, draw_cases, pose_case
 from reporting import RESULTS, describe_machine, print_table, write_json
 
 from ewr_fenicsx import integrate
-from ewr_fenicsx.newton import APERIODIC
+from ewr_fenicsx.solver.newton import APERIODIC
 
 STEPS, PERIODS, TOLERANCE = (800, 1600), 300, 1e-3
 THETA = 0.55  # damps the nodes of little mass, whose ringing 1/2 keeps alive: that must not pass for physics

@@ -27,9 +27,9 @@ from petsc4py import PETSc
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import EwrError, NotConverged
-from ewr_fenicsx.newton_path import RankOneUpdates
+from ewr_fenicsx.solver.newton_path import RankOneUpdates
 
 TOLERANCE = 1e-8
 DEGENERATE_CAP = 120.0  # seconds; a thousand pairs take a few of them a Newton step

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx import ReducedModel
-from ewr_fenicsx.layout import hold
+from ewr_fenicsx.problem.layout import hold
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))

@@ -22,9 +22,9 @@ from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.coulomb import Coulomb
-from ewr_fenicsx.unilateral import Signorini
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.unilateral import Signorini
 
 TARGETS = {5: {"warm": 2.0, "cold": 8.0}, 15: {"warm": 0.5, "cold": 4.0}}
 
@@ -105,10 +105,10 @@ class Stopwatch:
 
 def break_down(model: ReducedModel, frequencies: list[float], harmonics: int, friction: float) -> list[dict]:
     """Where the time of cold solves goes: seconds and calls by part, largest first."""
-    import ewr_fenicsx.contact_problem as problem_module
-    import ewr_fenicsx.ladder as ladder_module
-    import ewr_fenicsx.newton as newton_module
-    import ewr_fenicsx.newton_step as step_module
+    import ewr_fenicsx.balance.newton_step as step_module
+    import ewr_fenicsx.problem.contact_problem as problem_module
+    import ewr_fenicsx.solver.ladder as ladder_module
+    import ewr_fenicsx.solver.newton as newton_module
 
     stopwatch = Stopwatch()
     parts = [

@@ -32,8 +32,8 @@ def measure(element: float, degree: int, pairs: int) -> dict:
     from mpi4py import MPI
 
     from ewr_fenicsx import load_scene
-    from ewr_fenicsx.chain import build_chain
-    from ewr_fenicsx.columns import factorise
+    from ewr_fenicsx.structure.chain import build_chain
+    from ewr_fenicsx.structure.columns import factorise
 
     scene = load_scene(ROOT / "demos" / "dovetail.toml")
     parameters = {**scene.geometry.parameters, "mesh_size": 1e-3 * element, "pairs": pairs}

@@ -21,7 +21,7 @@ from models import blade_root
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 
 FREQUENCY = 1060.0  # Hz; the first full-stick mode is at 1091
 

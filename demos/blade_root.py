@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from ewr_fenicsx import load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.contact_state import OPEN, SLIP, classify_contact
-from ewr_fenicsx.output import list_files, write_results
+from ewr_fenicsx.output.output import list_files, write_results
+from ewr_fenicsx.solution.contact_state import OPEN, SLIP, classify_contact
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 HERE = Path(__file__).parent
 

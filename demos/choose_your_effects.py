@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ewr_fenicsx import ContactLaws, load_scene, solve, solve_to_accuracy
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.contact_state import OPEN, SLIP, classify_contact
+from ewr_fenicsx.solution.contact_state import OPEN, SLIP, classify_contact
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 HERE = Path(__file__).parent
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from study import AGREES, DIFFERS, OPEN, RESULTS, judge, report, timed
 
 from ewr_fenicsx import load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = Path(__file__).with_suffix(".toml")
 QUASI_STATIC, DYNAMIC = 10.0, 500.0  # Hz; the first mode lies near 1090 Hz, and (10 / 1090)^2 = 8e-5

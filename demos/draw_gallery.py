@@ -18,13 +18,13 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.contact_state import classify_contact
-from ewr_fenicsx.effects import list_effects
-from ewr_fenicsx.gathering import gather_cells
-from ewr_fenicsx.mesh_plots import BODY_COLOURS, draw_mesh
-from ewr_fenicsx.plots import FLANK_COLOURS, INK
-from ewr_fenicsx.study import run_study
+from ewr_fenicsx.output.gathering import gather_cells
+from ewr_fenicsx.output.mesh_plots import BODY_COLOURS, draw_mesh
+from ewr_fenicsx.output.plots import FLANK_COLOURS, INK
+from ewr_fenicsx.runs.study import run_study
+from ewr_fenicsx.scene.effects import list_effects
+from ewr_fenicsx.solution.contact_state import classify_contact
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"

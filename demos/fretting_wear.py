@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from study import AGREES, RESULTS, judge, report, timed
 
 from ewr_fenicsx import Tolerance, evolve_wear, load_scene
-from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.wear_fields import write_wear_fields
+from ewr_fenicsx.output.wear_fields import write_wear_fields
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
+from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness
 
 SCENE = Path(__file__).with_suffix(".toml")
 COEFFICIENT, CYCLES = 1e-11, 3000  # 1/Pa

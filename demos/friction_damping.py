@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 from study import AGREES, RESULTS, judge, report, timed
 
 from ewr_fenicsx import ContactLaws, frequency_response, load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = Path(__file__).with_suffix(".toml")
 FRICTION = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from study import AGREES, DIFFERS, RESULTS, judge, report, timed
 
 from ewr_fenicsx import load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = Path(__file__).with_suffix(".toml")
 FREQUENCIES = {"quasi_static": 10.0, "dynamic": 500.0}  # Hz

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from study import AGREES, RESULTS, judge, report, timed
 
 from ewr_fenicsx import Tolerance, evolve_wear, frequency_response, load_scene
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = Path(__file__).with_suffix(".toml")
 COEFFICIENT, CYCLES = 1e-11, 3000  # 1/Pa

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from accuracy_text import PAGE_TEXT
 
-from ewr_fenicsx.cost import LOOSE, choose_cheapest, fit_slope
-from ewr_fenicsx.cost_plots import draw_work_precision
+from ewr_fenicsx.accuracy.cost import LOOSE, choose_cheapest, fit_slope
+from ewr_fenicsx.output.cost_plots import draw_work_precision
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, PAGE = ROOT / "benchmarks" / "results", ROOT / "docs" / "accuracy.md"

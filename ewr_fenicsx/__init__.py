@@ -8,18 +8,19 @@ __version__ = "0.1.0"
 
 # Names are imported when first used: a script with matrices of its own never loads dolfinx.
 _HOME = {
-    "ReducedModel": "reduced_model",
-    "ContactLaws": "contact_laws",
-    "ContactProblem": "contact_problem",
-    "PeriodicSolution": "solution",
-    "solve": "solving",
-    "solve_to_accuracy": "accuracy",
-    "integrate": "time_integration",
-    "frequency_response": "frequency_sweep",
-    "evolve_wear": "wear",
-    "Tolerance": "cycle_jumps",
-    "load_scene": "scene",
-    "build_reduced_model": "chain",
+    "ReducedModel": "model.reduced_model",
+    "ContactLaws": "laws.contact_laws",
+    "ContactProblem": "problem.contact_problem",
+    "PeriodicSolution": "solution.solution",
+    "solve": "accuracy.solving",
+    "solve_to_accuracy": "accuracy.accuracy",
+    "integrate": "solver.time_integration",
+    "frequency_response": "response.frequency_sweep",
+    "evolve_wear": "wear.wear",
+    "Tolerance": "wear.cycle_jumps",
+    "Scene": "scene.scene",
+    "load_scene": "scene.scene",
+    "build_reduced_model": "structure.chain",
 }
 __all__ = sorted(_HOME)
 

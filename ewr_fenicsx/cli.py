@@ -25,16 +25,16 @@ from rich.table import Table
 
 from ewr_fenicsx import __version__
 from ewr_fenicsx.errors import EwrError, UnheldBody
-from ewr_fenicsx.scene import Scene, load_scene
+from ewr_fenicsx.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-    from ewr_fenicsx.chain import Chain
-    from ewr_fenicsx.contact_problem import ContactProblem
-    from ewr_fenicsx.cost_report import CostReport
-    from ewr_fenicsx.effects import Effect
-    from ewr_fenicsx.interface import Interface
+    from ewr_fenicsx.problem.contact_problem import ContactProblem
+    from ewr_fenicsx.runs.cost_report import CostReport
+    from ewr_fenicsx.scene.effects import Effect
+    from ewr_fenicsx.structure.chain import Chain
+    from ewr_fenicsx.structure.interface import Interface
 
 # How long a failed rank waits for the others to fail as well before it stops them [s]
 PATIENCE = 2.0
@@ -112,12 +112,12 @@ def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespa
 def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr run``: from the scene to a result folder."""
     scene, folder = read_scene(arguments, comm)
-    from ewr_fenicsx.chain import Stopwatch, build_chain
-    from ewr_fenicsx.output import list_files, write_results
+    from ewr_fenicsx.output.output import list_files, write_results
+    from ewr_fenicsx.output.result_folder import hold_target
+    from ewr_fenicsx.output.work_folder import holds_work, keep_work, name_work_folder
     from ewr_fenicsx.petsc_options import check_options
-    from ewr_fenicsx.result_folder import hold_target
-    from ewr_fenicsx.study import can_resume, run_study
-    from ewr_fenicsx.work_folder import holds_work, keep_work, name_work_folder
+    from ewr_fenicsx.runs.study import can_resume, run_study
+    from ewr_fenicsx.structure.chain import Stopwatch, build_chain
 
     check_options()
     work, overwrite = name_work_folder(folder) if can_resume(scene) else None, arguments.overwrite
@@ -146,7 +146,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 
 def tell_unused_options() -> None:
     """Names options that were meant for PETSc's solvers and that none took, which PETSc passes over in silence."""
-    from ewr_fenicsx._compat import list_unused_options
+    from ewr_fenicsx.structure._compat import list_unused_options
 
     for name in list_unused_options():
         if name.startswith("ewr_"):
@@ -158,9 +158,9 @@ def tell_unused_options() -> None:
 def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr info``: counts and effects, without solving."""
     scene, folder = read_scene(arguments, comm)
-    from ewr_fenicsx.chain import build_chain, pose_problem
-    from ewr_fenicsx.effects import list_effects
-    from ewr_fenicsx.result_folder import read_times
+    from ewr_fenicsx.output.result_folder import read_times
+    from ewr_fenicsx.scene.effects import list_effects
+    from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
@@ -190,9 +190,9 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
 def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr cost``: error and time of each setting, on one rank's processor."""
     scene, folder = read_scene(arguments, comm)
-    from ewr_fenicsx.chain import build_chain
-    from ewr_fenicsx.cost_report import PICTURE, TABLE, survey_scene
-    from ewr_fenicsx.result_folder import hold_target
+    from ewr_fenicsx.output.result_folder import hold_target
+    from ewr_fenicsx.runs.cost_report import PICTURE, TABLE, survey_scene
+    from ewr_fenicsx.structure.chain import build_chain
 
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
     with hold_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE)):
@@ -241,9 +241,9 @@ def tell_doubts(scene: Scene, doubts: Sequence[str], comm: MPI.Comm) -> None:
 
 def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
     """What a chain holds, name -> figure."""
-    from ewr_fenicsx.balance import HarmonicBalance
-    from ewr_fenicsx.effects import leaves_choice
-    from ewr_fenicsx.symmetry import leave_out_idle
+    from ewr_fenicsx.balance.balance import HarmonicBalance
+    from ewr_fenicsx.scene.effects import leaves_choice
+    from ewr_fenicsx.solution.symmetry import leave_out_idle
 
     reduction, interface = chain.reduction, chain.interface
     pairs = [f"{flank} {int((interface.flank_of_pair == k).sum())}" for k, flank in enumerate(interface.flanks)]

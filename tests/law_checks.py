@@ -9,9 +9,9 @@ import numpy as np
 from small_models import PROBLEMS
 
 from ewr_fenicsx import ContactProblem, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.smoothing import round_corners
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.smoothing import round_corners
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 
 def check_rounded_corners(problem: ContactProblem) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.mesh import JointMesh
+from ewr_fenicsx.structure.mesh import JointMesh
 
 
 def count(mesh: JointMesh) -> dict:

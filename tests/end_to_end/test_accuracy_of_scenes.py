@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from small_scenes import write_blocks
 
-from ewr_fenicsx import cost_report, estimates, solve, solve_to_accuracy
-from ewr_fenicsx.chain import Stopwatch, build_chain, pose_problem
+from ewr_fenicsx import solve, solve_to_accuracy
+from ewr_fenicsx.accuracy import estimates
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.errors import ModelError, SceneError
-from ewr_fenicsx.scene import Excitation, load_scene
-from ewr_fenicsx.study import _Modes, run_study
+from ewr_fenicsx.runs import cost_report
+from ewr_fenicsx.runs.study import _Modes, run_study
+from ewr_fenicsx.scene.scene import Excitation, load_scene
+from ewr_fenicsx.structure.chain import Stopwatch, build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 
@@ -99,7 +101,7 @@ def test_what_keeps_a_scene_from_its_accuracy_is_told_in_words_of_a_scene(
     tmp_path, capsys, monkeypatch, allowed, asked, told
 ):
     limited = lambda *given, **named: solve_to_accuracy(*given, **named | allowed)  # noqa: E731
-    monkeypatch.setattr("ewr_fenicsx.accuracy.solve_to_accuracy", limited)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve_to_accuracy", limited)
     path = write_root(tmp_path / "scene.toml", 1050.0, "[reduction]", "modes = 1", "[solver]", f"accuracy = {asked}")
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out

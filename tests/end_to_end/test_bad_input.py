@@ -136,7 +136,7 @@ def test_too_little_memory(ewr, monkeypatch):
     def reduce_structure(*_, **__):
         raise MemoryError("Unable to allocate 812. GiB")
 
-    monkeypatch.setattr("ewr_fenicsx.chain.reduce_structure", reduce_structure)
+    monkeypatch.setattr("ewr_fenicsx.structure.chain.reduce_structure", reduce_structure)
     assert "ewr: out of memory: Unable to allocate 812. GiB; take a larger mesh_size, or fewer pairs" in ewr()
 
 

@@ -17,9 +17,9 @@ import pytest
 from scipy.integrate import trapezoid
 
 from ewr_fenicsx import ReducedModel, load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.cli import main
-from ewr_fenicsx.estimates import measure_distance
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "demos" / "blade_root.toml"
@@ -279,9 +279,9 @@ def test_petsc_options_reach_the_newton_solver(tmp_path):
 
 
 def test_info_counts_without_solving(capsys, monkeypatch):
-    import ewr_fenicsx.newton
+    import ewr_fenicsx.solver.newton
 
-    monkeypatch.setattr(ewr_fenicsx.newton, "solve", lambda *_, **__: pytest.fail("info must not solve"))
+    monkeypatch.setattr(ewr_fenicsx.solver.newton, "solve", lambda *_, **__: pytest.fail("info must not solve"))
     assert main(["info", str(SCENE)]) == 0
     text = capsys.readouterr().out
     for line in (

@@ -18,9 +18,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from ewr_fenicsx import load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.cli import main
-from ewr_fenicsx.mesh import load_builder
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.mesh import load_builder
 
 ROOT = Path(__file__).parents[2]
 SCENES = (

@@ -12,7 +12,7 @@ import scipy.io
 import scipy.sparse
 
 from ewr_fenicsx import load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")

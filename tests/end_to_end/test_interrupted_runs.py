@@ -14,9 +14,10 @@ import pytest
 from counted_calls import count_calls
 from small_scenes import write_blocks
 
-from ewr_fenicsx import cycle_jumps, frequency_sweep
 from ewr_fenicsx.cli import main
-from ewr_fenicsx.result_folder import hold_target
+from ewr_fenicsx.output.result_folder import hold_target
+from ewr_fenicsx.response import frequency_sweep
+from ewr_fenicsx.wear import cycle_jumps
 
 write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
 STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table

@@ -12,13 +12,14 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from ewr_fenicsx import load_scene, plots
-from ewr_fenicsx.chain import build_chain
-from ewr_fenicsx.contact_state import SLIP, classify_contact
-from ewr_fenicsx.cost_plots import draw_work_precision
+from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
-from ewr_fenicsx.mesh_plots import draw_mesh
-from ewr_fenicsx.study import run_study
+from ewr_fenicsx.output import plots
+from ewr_fenicsx.output.cost_plots import draw_work_precision
+from ewr_fenicsx.output.mesh_plots import draw_mesh
+from ewr_fenicsx.runs.study import run_study
+from ewr_fenicsx.solution.contact_state import SLIP, classify_contact
+from ewr_fenicsx.structure.chain import build_chain
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ewr_fenicsx import integrate, load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 

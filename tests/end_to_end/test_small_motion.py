@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx.cli import main
-from ewr_fenicsx.findings import measure_spacing
-from ewr_fenicsx.interface import Interface
+from ewr_fenicsx.runs.findings import measure_spacing
+from ewr_fenicsx.structure.interface import Interface
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,8 +13,8 @@ import pytest
 from matplotlib.image import imread
 
 from ewr_fenicsx import Tolerance, evolve_wear, load_scene
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.wear_fields import WEAR_FIELDS, tabulate_wear_fields, write_wear_fields
+from ewr_fenicsx.output.wear_fields import WEAR_FIELDS, tabulate_wear_fields, write_wear_fields
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 DEMOS = Path(__file__).parents[2] / "demos"
 SCENE = DEMOS / "blade_root.toml"

@@ -9,8 +9,9 @@ from dataclasses import replace
 import pytest
 from small_scenes import write_blocks
 
-from ewr_fenicsx import solve, wear
+from ewr_fenicsx import solve
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.wear import wear
 
 
 def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
@@ -46,7 +47,7 @@ def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkey
     """The worn joint is found from there without any."""
     (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
     late = lambda *given, **named: replace(solve(*given, **named), fallbacks=("one: no", "two: yes"))  # noqa: E731
-    monkeypatch.setattr("ewr_fenicsx.cycle_jumps.solve", late)
+    monkeypatch.setattr("ewr_fenicsx.wear.cycle_jumps.solve", late)
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     out = capsys.readouterr().out
     assert "the first solve: fallback: one: no" in out and "the first solve: fallback: two: yes" in out

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import gmsh
 
-from ewr_fenicsx.mesh import load_builder
+from ewr_fenicsx.structure.mesh import load_builder
 
 
 def build() -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure
-from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, RayleighRatios
-from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.reduction import reduce_structure
+from ewr_fenicsx.structure.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.interface import pair_interface
+from ewr_fenicsx.structure.materials import TITANIUM, RayleighRatios
+from ewr_fenicsx.structure.mesh import build_mesh
+from ewr_fenicsx.structure.reduction import reduce_structure
 
 comm = MPI.COMM_WORLD
 source, parameters, degree, target = Path(sys.argv[1]), json.loads(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_scenes import write_blocks
 
-from ewr_fenicsx.reduced_model import read_reduced_model
+from ewr_fenicsx.model.reduced_model import read_reduced_model
 
 SCRIPT = Path(__file__).with_name("chain_on_ranks.py")
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
@@ -67,11 +67,11 @@ def test_a_corner_is_seen_on_any_number_of_ranks(mpirun, tmp_path):
         "import sys\n"
         "from pathlib import Path\n"
         "from mpi4py import MPI\n"
-        "from ewr_fenicsx.elasticity import assemble_structure\n"
+        "from ewr_fenicsx.structure.elasticity import assemble_structure\n"
         "from ewr_fenicsx.errors import InterfaceError\n"
-        "from ewr_fenicsx.interface import pair_interface\n"
-        "from ewr_fenicsx.materials import TITANIUM\n"
-        "from ewr_fenicsx.mesh import build_mesh\n"
+        "from ewr_fenicsx.structure.interface import pair_interface\n"
+        "from ewr_fenicsx.structure.materials import TITANIUM\n"
+        "from ewr_fenicsx.structure.mesh import build_mesh\n"
         "mesh = build_mesh(Path(sys.argv[1]), {}, MPI.COMM_WORLD)\n"
         "structure = assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM))\n"
         "try:\n"
@@ -93,8 +93,8 @@ def test_ranks_tell_of_a_third_body_and_of_the_thinnest_as_one(mpirun, tmp_path)
         "import sys\n"
         "from mpi4py import MPI\n"
         "from ewr_fenicsx import load_scene\n"
-        "from ewr_fenicsx.chain import build_chain\n"
-        "from ewr_fenicsx.gathering import measure_thinnest_body\n"
+        "from ewr_fenicsx.structure.chain import build_chain\n"
+        "from ewr_fenicsx.output.gathering import measure_thinnest_body\n"
         "chain = build_chain(load_scene(sys.argv[1], warn=False), MPI.COMM_WORLD)\n"
         "told = MPI.COMM_WORLD.gather(f'{measure_thinnest_body(chain):.9f} {chain.doubts}')\n"
         "print(*(told or []), sep='\\n', flush=True)\n"
@@ -121,7 +121,7 @@ def test_bodies_that_are_alike_have_the_same_model_on_any_number_of_ranks(mpirun
         "import sys\n"
         "from mpi4py import MPI\n"
         "from ewr_fenicsx import load_scene\n"
-        "from ewr_fenicsx.chain import build_chain\n"
+        "from ewr_fenicsx.structure.chain import build_chain\n"
         "model = build_chain(load_scene(sys.argv[1]), MPI.COMM_WORLD).reduction.model\n"
         "if MPI.COMM_WORLD.rank == 0:\n"
         "    model.save(sys.argv[2])\n"

@@ -10,7 +10,7 @@ from mesh_counts import count
 from mpi4py import MPI
 from small_scenes import SCENE, write_blocks
 
-from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.structure.mesh import build_mesh
 
 TESTS = Path(__file__).parents[1]
 GEOMETRY = TESTS.parent / "geometry"
@@ -22,7 +22,7 @@ from pathlib import Path
 from mpi4py import MPI
 sys.path.insert(0, {tests!r})
 from mesh_counts import count
-from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.structure.mesh import build_mesh
 mesh = build_mesh(Path({source!r}), {parameters!r}, MPI.COMM_WORLD)
 found = MPI.COMM_WORLD.gather([count(mesh), dict(mesh.bodies), dict(mesh.boundaries), mesh.smallest_scaled_jacobian])
 if found:
@@ -54,7 +54,7 @@ import json
 from pathlib import Path
 from mpi4py import MPI
 from ewr_fenicsx.errors import MeshError
-from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.structure.mesh import build_mesh
 try:
     build_mesh(Path({str(GEOMETRY / "fir_tree.py")!r}), {{"lobe": 2}}, MPI.COMM_WORLD)
 except MeshError as error:

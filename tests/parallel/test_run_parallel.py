@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.chain import build_chain
-from ewr_fenicsx.result_folder import hold_target
-from ewr_fenicsx.study import run_study
+from ewr_fenicsx.output.result_folder import hold_target
+from ewr_fenicsx.runs.study import run_study
+from ewr_fenicsx.structure.chain import build_chain
 
 ROOT = Path(__file__).parents[2]
 SCENE = ROOT / "demos" / "blade_root.toml"
@@ -146,7 +146,8 @@ def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):
     (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "script.py").write_text(
         "import sys\n"
-        "from ewr_fenicsx import frequency_sweep, output\n"
+        "from ewr_fenicsx.output import output\n"
+        "from ewr_fenicsx.response import frequency_sweep\n"
         "from ewr_fenicsx.cli import main\n"
         "solve, last = frequency_sweep._solve_block, int(sys.argv[2])\n"
         "def stop(follower, block, store):\n"

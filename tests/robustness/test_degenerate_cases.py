@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.elimination import REDUNDANCY
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.elimination import REDUNDANCY
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

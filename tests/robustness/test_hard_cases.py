@@ -12,23 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import (
-    ContactLaws,
-    ContactProblem,
-    growing_load,
-    ladder,
-    newton,
-    newton_path,
-    snes,
-    solve,
-    time_integration,
-    weights,
-)
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.growing_sets import sample_anew
-from ewr_fenicsx.snes import Attempt
-from ewr_fenicsx.solution_store import restore, strip
+from ewr_fenicsx.response.solution_store import restore, strip
+from ewr_fenicsx.solver import growing_load, ladder, newton, newton_path, snes, time_integration, weights
+from ewr_fenicsx.solver.growing_sets import sample_anew
+from ewr_fenicsx.solver.snes import Attempt
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

@@ -13,7 +13,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, tra
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError, UnheldBody
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 both = pytest.mark.parametrize("closure", ["dashpot", "spring"])
 

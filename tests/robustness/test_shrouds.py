@@ -10,9 +10,9 @@ import pytest
 from mpi4py import MPI
 
 from ewr_fenicsx import ContactProblem, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.contact_state import OPEN, STICK, classify_contact
-from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.scene.scene import load_scene
+from ewr_fenicsx.solution.contact_state import OPEN, STICK, classify_contact
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = f"""
 title = "two shrouded blades"

@@ -8,7 +8,7 @@ import numpy as np
 from small_models import random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 
 FREQUENCY = 0.21
 STATES = ("stick", "slip", "open", "mixed")

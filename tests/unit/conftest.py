@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ewr_fenicsx.scene import Scene, load_scene
+from ewr_fenicsx.scene.scene import Scene, load_scene
 
 
 @pytest.fixture

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, estimates, solve, solve_to_accuracy
-from ewr_fenicsx import accuracy as accuracy_module
-from ewr_fenicsx.dashpots import match_mobility, read_friction_weight
-from ewr_fenicsx.errors import ModelError, NotConverged
-from ewr_fenicsx.estimates import (
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy import accuracy as accuracy_module
+from ewr_fenicsx.accuracy import estimates
+from ewr_fenicsx.accuracy.estimates import (
     Look,
     choose_harmonics,
     compare_responses,
@@ -26,7 +25,9 @@ from ewr_fenicsx.estimates import (
     measure_distance,
     step_towards,
 )
-from ewr_fenicsx.looking_ahead import raise_harmonics, take_step
+from ewr_fenicsx.accuracy.looking_ahead import raise_harmonics, take_step
+from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.problem.dashpots import match_mobility, read_friction_weight
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -153,8 +154,8 @@ def test_pairs_that_move_each_other_are_nearly_always_as_accurate_as_asked():
 def test_samples_are_raised_where_they_dominate(monkeypatch, enough):
     """As if all the error came from fewer samples than ``enough``."""
     blame = lambda solution, *_: 1.0 if solution.problem.basis.samples < enough else 0.0  # noqa: E731
-    monkeypatch.setattr("ewr_fenicsx.accuracy.estimate_samples", blame)
-    monkeypatch.setattr("ewr_fenicsx.accuracy.estimate_together", lambda *given: Look(blame(*given), 0.0))
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.estimate_samples", blame)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.estimate_together", lambda *given: Look(blame(*given), 0.0))
     found = solve_to_accuracy(rub_and_lift_off(), 0.003)
     if enough == 200:
         pairs = list(zip(found.levels, found.levels[1:], strict=False))
@@ -233,7 +234,7 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
     def solve_late(problem, start, tolerance, **choice):
         return replace(solve(problem, start, tolerance, **choice), fallbacks=rungs if start is None else ())
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", solve_late)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", solve_late)
     found = solve_to_accuracy(rub_and_lift_off(), 0.01, first=3)
     assert len(found.levels) > 1
     assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_models import lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, accuracy, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy import accuracy
+from ewr_fenicsx.accuracy.estimates import drop_modes, estimate_errors, estimate_modes, measure_distance
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.estimates import drop_modes, estimate_errors, estimate_modes, measure_distance
-from ewr_fenicsx.wear_accuracy import AccurateWear
+from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 
 
 def structure_with_modes(*stiffness: float) -> ReducedModel:

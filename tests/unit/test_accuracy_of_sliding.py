@@ -9,8 +9,8 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve, solve_to_accuracy
-from ewr_fenicsx.estimates import ErrorEstimate, estimate_at_once, estimate_together
-from ewr_fenicsx.findings import list_causes, tell_estimate
+from ewr_fenicsx.accuracy.estimates import ErrorEstimate, estimate_at_once, estimate_together
+from ewr_fenicsx.runs.findings import list_causes, tell_estimate
 
 
 def pose_slipping() -> list[ContactProblem]:

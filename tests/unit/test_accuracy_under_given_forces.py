@@ -9,8 +9,8 @@ import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.estimates import measure_distance
 
 FREQUENCY = 0.7 / (2 * np.pi)
 

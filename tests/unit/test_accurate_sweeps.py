@@ -11,22 +11,14 @@ import pytest
 from small_models import lift_off_oscillator, stop_oscillator
 from test_frequency_response import FREQUENCIES, LAWS, sweep
 
-from ewr_fenicsx import (
-    ContactLaws,
-    ContactProblem,
-    frequency_response,
-    frequency_sweep,
-    refining,
-    solve,
-    solve_to_accuracy,
-    sweep_store,
-)
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import estimate_errors, measure_distance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.estimates import estimate_errors, measure_distance
-from ewr_fenicsx.following import LARGEST_SURPRISE, Jump
-from ewr_fenicsx.refining import CLOSE, join_points, leave_out_close, measure_gap, refine_point
-from ewr_fenicsx.solution_store import read_records, restore
+from ewr_fenicsx.response import frequency_sweep, refining, sweep_store
+from ewr_fenicsx.response.following import LARGEST_SURPRISE, Jump
+from ewr_fenicsx.response.refining import CLOSE, join_points, leave_out_close, measure_gap, refine_point
+from ewr_fenicsx.response.solution_store import read_records, restore
 
 
 def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():

@@ -11,9 +11,9 @@ from balance_points import FREQUENCY, LAWS, SPRINGS, STATES, Point, combine_with
 from small_models import dovetail, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.mean_friction import HELD, MEAN_FRICTION_REGULARISATION
-from ewr_fenicsx.newton_step import Factorisation
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.newton_step import Factorisation
+from ewr_fenicsx.laws.mean_friction import HELD, MEAN_FRICTION_REGULARISATION
 
 
 def evaluate_series(wave: np.ndarray, amplitudes: list) -> float:

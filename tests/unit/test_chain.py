@@ -10,9 +10,11 @@ import ufl
 from mpi4py import MPI
 from small_scenes import BLOCKS, write_blocks
 
-from ewr_fenicsx import _compat, chain, law_kinds, load_scene
-from ewr_fenicsx.chain import Stopwatch, add_times
+from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.laws import law_kinds
+from ewr_fenicsx.structure import _compat, chain
+from ewr_fenicsx.structure.chain import Stopwatch, add_times
 
 
 @pytest.fixture

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ladder
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import ladder
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from ewr_fenicsx.bonded import Bond
-from ewr_fenicsx.cone import project_on_cone
-from ewr_fenicsx.coulomb import Coulomb
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.law_kinds import Motion
-from ewr_fenicsx.unilateral import Signorini
+from ewr_fenicsx.laws.bonded import Bond
+from ewr_fenicsx.laws.cone import project_on_cone
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.law_kinds import Motion
+from ewr_fenicsx.laws.unilateral import Signorini
 
 finite = st.floats(-1e3, 1e3, allow_nan=False)
 positive = st.floats(1e-3, 1e3)

@@ -9,13 +9,13 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.bonded import Bond
-from ewr_fenicsx.composition import compose
-from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.law_kinds import spread_over_pairs
-from ewr_fenicsx.unilateral import Signorini
+from ewr_fenicsx.laws.bonded import Bond
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.law_kinds import spread_over_pairs
+from ewr_fenicsx.laws.unilateral import Signorini
+from ewr_fenicsx.problem.composition import compose
 
 PAIRS, COORDINATES, RIGID, N = 6, 26, 3, 4
 FULL = 2 * N + 1  # real coefficients a row

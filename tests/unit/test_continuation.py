@@ -9,13 +9,14 @@ from itertools import takewhile
 import numpy as np
 from small_models import dovetail, friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, continuation, solve
-from ewr_fenicsx.balance import FIRM, HarmonicBalance
-from ewr_fenicsx.continuation import BranchPoint
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance.balance import FIRM, HarmonicBalance
+from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.newton_step import NewtonStep
-from ewr_fenicsx.smoothing import round_corners
-from ewr_fenicsx.snes import run_newton
+from ewr_fenicsx.laws.smoothing import round_corners
+from ewr_fenicsx.solver import continuation
+from ewr_fenicsx.solver.continuation import BranchPoint
+from ewr_fenicsx.solver.snes import run_newton
 
 
 def begin(problem: ContactProblem) -> tuple[BranchPoint, Callable[[float], HarmonicBalance]]:

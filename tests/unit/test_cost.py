@@ -9,8 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 from small_models import friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, cost_plots, integrate, solve
-from ewr_fenicsx.cost import (
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+from ewr_fenicsx.accuracy.cost import (
     ERRORS,
     choose_cheapest,
     compare_figures,
@@ -20,8 +20,9 @@ from ewr_fenicsx.cost import (
     measure_figures,
     survey,
 )
-from ewr_fenicsx.cost_plots import draw_work_precision
-from ewr_fenicsx.cost_report import CostReport
+from ewr_fenicsx.output import cost_plots
+from ewr_fenicsx.output.cost_plots import draw_work_precision
+from ewr_fenicsx.runs.cost_report import CostReport
 
 PROBLEM = ContactProblem(lift_off_oscillator(), ContactLaws(friction=0.3), 0.7 / (2 * np.pi))
 

@@ -7,7 +7,7 @@ import re
 import pytest
 from small_scenes import HEAD, PULL, SCENE
 
-from ewr_fenicsx.scene_sense import doubt_drag, doubt_frequency, doubt_lengths, doubt_modes, hint_at_lengths
+from ewr_fenicsx.scene.scene_sense import doubt_drag, doubt_frequency, doubt_lengths, doubt_modes, hint_at_lengths
 
 
 @pytest.mark.parametrize(

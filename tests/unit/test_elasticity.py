@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ewr_fenicsx import _compat
-from ewr_fenicsx.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure, body_nodes
 from ewr_fenicsx.errors import EwrError, MeshError, SceneError
-from ewr_fenicsx.materials import TITANIUM, Material, PerMode, Rayleigh, RayleighRatios
-from ewr_fenicsx.mesh import build_mesh
+from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure, body_nodes
+from ewr_fenicsx.structure.materials import TITANIUM, Material, PerMode, Rayleigh, RayleighRatios
+from ewr_fenicsx.structure.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 FLUSH_BLOCKS = TWO_BLOCKS.with_name("flush_blocks.py")
@@ -221,7 +221,7 @@ def test_interrupted_compilation_says_how_to_clear_the_cache():
 def compile_elsewhere(tmp_path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Compiles a form in a new process with an empty cache."""
     program = (
-        "import dolfinx, logging, ufl\nfrom mpi4py import MPI\nfrom ewr_fenicsx import _compat\n"
+        "import dolfinx, logging, ufl\nfrom mpi4py import MPI\nfrom ewr_fenicsx.structure import _compat\n"
         "mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)\n"
         "v = ufl.TestFunction(_compat.function_space(mesh, 'Lagrange', 1))\n"
         "_compat.compile_form(v * ufl.dx, 'a form')\nlogging.warning('heard')\n"

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from small_models import lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, findings, frequency_response
-from ewr_fenicsx.estimates import ErrorEstimate
+from ewr_fenicsx import ContactLaws, frequency_response
+from ewr_fenicsx.accuracy.estimates import ErrorEstimate
+from ewr_fenicsx.runs import findings
 
 
 @pytest.mark.parametrize("count, told", [(2, "0.1, 0.2"), (9, "9 solutions from 0.1 to 0.9")])

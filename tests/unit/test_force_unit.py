@@ -10,10 +10,10 @@ from scipy.linalg import block_diag
 from small_models import lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.following import solve_from
-from ewr_fenicsx.mean_friction import MEAN_FRICTION_REGULARISATION
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.mean_friction import MEAN_FRICTION_REGULARISATION
+from ewr_fenicsx.response.following import solve_from
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 
 def measure_unknowns(solution: PeriodicSolution) -> float:

@@ -14,21 +14,13 @@ from counted_calls import count_calls
 from mpi4py import MPI
 from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
-from ewr_fenicsx import (
-    ContactLaws,
-    ContactProblem,
-    following,
-    frequency_response,
-    frequency_sweep,
-    response_curve,
-    solve,
-    sweep_store,
-)
-from ewr_fenicsx import solution as solutions
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
-from ewr_fenicsx.following import Jump, agree
-from ewr_fenicsx.frequency_sweep import FrequencyResponse
-from ewr_fenicsx.solution_store import restore, strip
+from ewr_fenicsx.response import following, frequency_sweep, response_curve, sweep_store
+from ewr_fenicsx.response.following import Jump, agree
+from ewr_fenicsx.response.frequency_sweep import FrequencyResponse
+from ewr_fenicsx.response.solution_store import restore, strip
+from ewr_fenicsx.solution import solution as solutions
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from small_scenes import write_blocks
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.chain import build_chain
-from ewr_fenicsx.gathering import measure_thinnest_body, measure_width
+from ewr_fenicsx.output.gathering import measure_thinnest_body, measure_width
+from ewr_fenicsx.structure.chain import build_chain
 
 
 @pytest.mark.parametrize("inclination", [0.0, 45.0, 63.7])

@@ -12,7 +12,7 @@ from small_models import random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate
 from ewr_fenicsx.given import keep
-from ewr_fenicsx.weights import adopt_weights
+from ewr_fenicsx.solver.weights import adopt_weights
 
 
 @pytest.mark.parametrize("normal", ["unilateral", "prescribed"])

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, growing_load, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.growing_load import BEGINS, SMALL, grow_load
-from ewr_fenicsx.growing_sets import choose_samples, sample_anew
-from ewr_fenicsx.ladder import begin_at_full_stick
-from ewr_fenicsx.newton_path import _Path
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import growing_load
+from ewr_fenicsx.solver.growing_load import BEGINS, SMALL, grow_load
+from ewr_fenicsx.solver.growing_sets import choose_samples, sample_anew
+from ewr_fenicsx.solver.ladder import begin_at_full_stick
+from ewr_fenicsx.solver.newton_path import _Path
 
 
 def pose(harmonics: int = 3, **options) -> ContactProblem:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.harmonics import FourierBasis, sample_amplitudes, select_basis
+from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes, select_basis
 
 BASES = [
     FourierBasis((0, 1, 2, 3), 16),

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.closure import find_masses
-from ewr_fenicsx.coulomb import Coulomb
-from ewr_fenicsx.harmonics import select_basis
-from ewr_fenicsx.inertial_coulomb import InertialCoulomb, slide
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.inertial_coulomb import InertialCoulomb, slide
+from ewr_fenicsx.problem.closure import find_masses
+from ewr_fenicsx.problem.harmonics import select_basis
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from small_models import block_on_feet, dovetail, foot_on_the_ground, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, inexact_step, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.inexact_step import COUPLED, TOLERANCE, solve_inexactly
-from ewr_fenicsx.newton_step import NewtonStep
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance import inexact_step
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.inexact_step import COUPLED, TOLERANCE, solve_inexactly
+from ewr_fenicsx.balance.newton_step import NewtonStep
 
 ORDERS = 24
 PROBLEMS = {

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from ewr_fenicsx.elasticity import assemble_structure, body_nodes, boundary_facets
 from ewr_fenicsx.errors import InterfaceError
-from ewr_fenicsx.interface import _pair_sides, _Side, doubt_boundaries, pair_interface
-from ewr_fenicsx.materials import TITANIUM
-from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.scene import load_scene
+from ewr_fenicsx.scene.scene import load_scene
+from ewr_fenicsx.structure.elasticity import assemble_structure, body_nodes, boundary_facets
+from ewr_fenicsx.structure.interface import _pair_sides, _Side, doubt_boundaries, pair_interface
+from ewr_fenicsx.structure.materials import TITANIUM
+from ewr_fenicsx.structure.mesh import build_mesh
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 CORNERED = Path(__file__).parents[1] / "geometry" / "cornered.py"

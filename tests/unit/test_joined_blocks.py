@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_models import lift_off_oscillator, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, following, frequency_response, frequency_sweep, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.following import Curve, Jump
-from ewr_fenicsx.sweep_store import BlockState
+from ewr_fenicsx.response import following, frequency_sweep
+from ewr_fenicsx.response.following import Curve, Jump
+from ewr_fenicsx.response.sweep_store import BlockState
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS
 
-from ewr_fenicsx import long_splitting, solve, weights
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.long_splitting import COARSE_GOAL, LONG, split_at_length
-from ewr_fenicsx.snes import run_newton
-from ewr_fenicsx.splitting import Splitting, settle
-from ewr_fenicsx.time_integration import integrate
+from ewr_fenicsx import solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import long_splitting, weights
+from ewr_fenicsx.solver.long_splitting import COARSE_GOAL, LONG, split_at_length
+from ewr_fenicsx.solver.snes import run_newton
+from ewr_fenicsx.solver.splitting import Splitting, settle
+from ewr_fenicsx.solver.time_integration import integrate
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

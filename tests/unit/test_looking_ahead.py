@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, looking_ahead, solve, splitting
-from ewr_fenicsx.estimates import estimate_together, measure_distance
-from ewr_fenicsx.looking_ahead import approach, raise_harmonics, take_step
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.accuracy import looking_ahead
+from ewr_fenicsx.accuracy.estimates import estimate_together, measure_distance
+from ewr_fenicsx.accuracy.looking_ahead import approach, raise_harmonics, take_step
+from ewr_fenicsx.solver import splitting
 
 RUBBING = ("floating, slip", "lift-off", "prescribed", "plane, floating")
 

@@ -12,9 +12,9 @@ import pytest
 from mesh_counts import count
 from mpi4py import MPI
 
-from ewr_fenicsx._compat import gmsh_is_running
 from ewr_fenicsx.errors import MeshError
-from ewr_fenicsx.mesh import JointMesh, build_mesh, measure_extent
+from ewr_fenicsx.structure._compat import gmsh_is_running
+from ewr_fenicsx.structure.mesh import JointMesh, build_mesh, measure_extent
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
 
@@ -353,7 +353,7 @@ def test_a_running_gmsh_keeps_its_models_and_options(squares, fails):
 def test_gmsh_is_known_to_run_without_asking_it():
     """Before its first start, gmsh 4.8 answers some questions by ending the process, as what is in memory has it."""
     program = (
-        "import gmsh; from ewr_fenicsx._compat import gmsh_is_running; gmsh.model.list = None; said = []\n"
+        "import gmsh; from ewr_fenicsx.structure._compat import gmsh_is_running; gmsh.model.list = None; said = []\n"
         "for change in (lambda: None, lambda: gmsh.initialize([], False), gmsh.finalize) * 2:\n"
         "    change(); said.append(gmsh_is_running())\n"
         "print(said)"
@@ -365,7 +365,8 @@ def test_gmsh_is_known_to_run_without_asking_it():
 def test_gmsh_is_quiet():
     """In a process of its own, from its first start, and when started again; what MPI says at import is not ours."""
     program = (
-        "import sys; from pathlib import Path; from mpi4py import MPI; from ewr_fenicsx.mesh import build_mesh\n"
+        "import sys; from pathlib import Path; from mpi4py import MPI\n"
+        "from ewr_fenicsx.structure.mesh import build_mesh\n"
         "for stream in (sys.stdout, sys.stderr): print('IMPORTED', file=stream, flush=True)\n"
         f"for _ in range(2): build_mesh(Path({str(GEOMETRY / 'fir_tree.py')!r}), {{}}, MPI.COMM_WORLD)"
     )

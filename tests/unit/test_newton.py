@@ -10,11 +10,12 @@ import pytest
 from petsc4py import PETSc
 from small_models import PROBLEMS, dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, newton, snes, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
-from ewr_fenicsx.newton import estimate_rounding, run_newton
-from ewr_fenicsx.scene import Solver
+from ewr_fenicsx.scene.scene import Solver
+from ewr_fenicsx.solver import ladder, newton, snes
+from ewr_fenicsx.solver.newton import estimate_rounding, run_newton
 
 
 @pytest.fixture

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS
 
-from ewr_fenicsx import ContactProblem, inexact_step, snes, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactProblem, solve
+from ewr_fenicsx.balance import inexact_step
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import snes
 
 
 def record_steps(problem: ContactProblem, **arguments) -> tuple:

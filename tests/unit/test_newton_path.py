@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, newton_path, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.coulomb import Coulomb
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.newton_step import Factorisation
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.growing_load import load_by_share
-from ewr_fenicsx.law_kinds import Motion
-from ewr_fenicsx.newton_path import SHORT, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
-from ewr_fenicsx.newton_step import Factorisation
-from ewr_fenicsx.smoothing import round_corners
-from ewr_fenicsx.snes import run_newton
-from ewr_fenicsx.unilateral import Signorini
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.law_kinds import Motion
+from ewr_fenicsx.laws.smoothing import round_corners
+from ewr_fenicsx.laws.unilateral import Signorini
+from ewr_fenicsx.solver import newton_path
+from ewr_fenicsx.solver.growing_load import load_by_share
+from ewr_fenicsx.solver.newton_path import SHORT, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
+from ewr_fenicsx.solver.snes import run_newton
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -190,7 +191,7 @@ def test_what_rounding_adds_up_to_does_not_stay(balance):
 
 def find_stalled(case: hard_cases.Case, steps: int):
     """A balance with weights far off, and where Newton's method stalls from the solution with the default ones."""
-    from ewr_fenicsx.weights import use_default_weights
+    from ewr_fenicsx.solver.weights import use_default_weights
 
     problem = hard_cases.pose_case(case)
     usual, balance = solve(use_default_weights(problem)), HarmonicBalance(problem.system)
@@ -276,7 +277,7 @@ def test_the_work_of_a_path_is_bounded(balance):
 
 def test_motions_are_read_as_laws_see_them():
     """A law's derivative by anything that it may see, against the change of that signal."""
-    from ewr_fenicsx.law_derivatives import Derivative
+    from ewr_fenicsx.balance.law_derivatives import Derivative
 
     balance = HarmonicBalance(pose(LAWS["both"]).system)
     path, rng = newton_path._Path(balance, balance.pack(*balance.full_stick), balance), np.random.default_rng(6)

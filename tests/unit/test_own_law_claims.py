@@ -10,9 +10,9 @@ import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, solve, solve_to_accuracy
-from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
-from ewr_fenicsx.deviations import differentiate_laws, step_deviations
-from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
+from ewr_fenicsx.in_time.deviations import differentiate_laws, step_deviations
+from ewr_fenicsx.laws.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
+from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact
 
 
 @register_law("tangential", "claimed spring")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from small_models import friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, law_kinds, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.errors import ModelError, NotConverged
-from ewr_fenicsx.law_kinds import Law, LawKind, Partial, Response, register_law
+from ewr_fenicsx.laws import law_kinds
+from ewr_fenicsx.laws.law_kinds import Law, LawKind, Partial, Response, register_law
 
 
 def damper(**other) -> type:
@@ -105,7 +106,7 @@ def test_states_that_a_law_tells_as_numbers_count_as_well(monkeypatch):
 
 def test_a_law_that_admits_no_force_of_each_pair_at_each_instant_is_refused(monkeypatch):
     """In a joint that is large enough for a splitting; small ones never ask."""
-    monkeypatch.setattr("ewr_fenicsx.splitting.WORTHWHILE", 0)
+    monkeypatch.setattr("ewr_fenicsx.solver.splitting.WORTHWHILE", 0)
     law = damper(opposes="velocity", admit=lambda self, trial: trial["tangential"].T, linear=False)
     with pytest.raises(ModelError, match=r"Damper\.admit returns an array of shape \(1, 64\); give one of \(64, 1\)"):
         solve(pose(dataclass(make_kind(law)), monkeypatch))

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from law_checks import check_rounded_corners, lift_foot, ride_in_grooves
 from small_models import block_on_feet, friction_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, time_stepping
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_state import SLIP, classify_contact, list_histories
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.interface import Interface
-from ewr_fenicsx.law_kinds import Motion
-from ewr_fenicsx.output import contact_fields, write_pairs
-from ewr_fenicsx.planar_coulomb import PLANE, PlanarCoulomb
+from ewr_fenicsx.in_time import time_stepping
+from ewr_fenicsx.laws.law_kinds import Motion
+from ewr_fenicsx.laws.planar_coulomb import PLANE, PlanarCoulomb
+from ewr_fenicsx.output.output import contact_fields, write_pairs
+from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, list_histories
+from ewr_fenicsx.structure.interface import Interface
 
 
 def test_figures_of_merit_are_those_of_both_components():
@@ -135,7 +136,7 @@ def test_dashpots_close_the_truncation_whatever_is_asked_for():
 def test_the_compiled_loop_is_the_loop_that_is_read_in_a_plane_too(monkeypatch):
     problem = ride_in_grooves(7).problem
     compiled = integrate(problem, steps=20, periods=2, tolerance=0)
-    monkeypatch.setattr("ewr_fenicsx.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
+    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
     plain = integrate(problem, steps=20, periods=2, tolerance=0)
     assert plain.last.sweeps == compiled.last.sweeps
     np.testing.assert_allclose(plain.last.impulses, compiled.last.impulses, rtol=1e-9, atol=1e-12)

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
 
 from ewr_fenicsx import ReducedModel
-from ewr_fenicsx.compliance import condense
 from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
-from ewr_fenicsx.layout import hold
-from ewr_fenicsx.rigid_modes import find_rigid_modes
+from ewr_fenicsx.model.compliance import condense
+from ewr_fenicsx.model.rigid_modes import find_rigid_modes
+from ewr_fenicsx.problem.layout import hold
 
 PLAIN = {"mass": np.eye(2), "damping": np.zeros((2, 2)), "stiffness": np.eye(2), "normal": [[1.0, 0.0]]}
 SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])

@@ -9,8 +9,8 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.contact_state import SLIP, classify_contact
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.solution.contact_state import SLIP, classify_contact
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from ewr_fenicsx.errors import OutputError
-from ewr_fenicsx.result_folder import check_target, hold_target, result_folder
-from ewr_fenicsx.work_folder import name_work_folder
+from ewr_fenicsx.output.result_folder import check_target, hold_target, result_folder
+from ewr_fenicsx.output.work_folder import name_work_folder
 
 
 def write_run(folder, value: str, **options) -> None:
@@ -141,7 +141,7 @@ def test_a_run_that_failed_leaves_nothing_beside_its_folder(tmp_path):
 
 def test_a_run_that_was_killed_keeps_nobody_out(tmp_path):
     script = (
-        "import os, sys\nfrom pathlib import Path\nfrom ewr_fenicsx.result_folder import hold_target\n"
+        "import os, sys\nfrom pathlib import Path\nfrom ewr_fenicsx.output.result_folder import hold_target\n"
         "with hold_target(Path(sys.argv[1])):\n    os.kill(os.getpid(), 9)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, tmp_path / "results"], check=False, timeout=120)

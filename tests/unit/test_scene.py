@@ -10,12 +10,12 @@ import pytest
 from pydantic import ValidationError
 from small_scenes import AT, HEAD, SCENE
 
-from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
-from ewr_fenicsx.scene import Excitation, Scene, load_scene
-from ewr_fenicsx.scene_entries import Section
-from ewr_fenicsx.scene_reference import list_sections, write_reference
-from ewr_fenicsx.scene_structure import ForceLoad, Geometry, RotationLoad
+from ewr_fenicsx.scene.effects import list_effects
+from ewr_fenicsx.scene.scene import Excitation, Scene, load_scene
+from ewr_fenicsx.scene.scene_entries import Section
+from ewr_fenicsx.scene.scene_reference import list_sections, write_reference
+from ewr_fenicsx.scene.scene_structure import ForceLoad, Geometry, RotationLoad
 
 ROOT = Path(__file__).parents[2]
 
@@ -202,7 +202,7 @@ def test_rotation_is_static():
 
 def test_reference_page_is_the_one_generated_from_the_definition():
     page = (ROOT / "docs" / "scenes.md").read_text()
-    assert page == write_reference(), "run: python -m ewr_fenicsx.scene_reference docs"
+    assert page == write_reference(), "run: python -m ewr_fenicsx.scene.scene_reference docs"
     for title, kind in list_sections():
         assert f"## {title}" in page
         for name, field in kind.model_fields.items():

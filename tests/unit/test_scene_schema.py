@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ewr_fenicsx.scene_reference import write_schema
+from ewr_fenicsx.scene.scene_reference import write_schema
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,7 +25,7 @@ def facts(schema: dict) -> dict:
 
 def test_schema_file_is_the_one_generated_from_the_definition():
     written = json.loads((ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8"))
-    assert facts(written) == facts(json.loads(write_schema())), "run: python -m ewr_fenicsx.scene_reference docs"
+    assert facts(written) == facts(json.loads(write_schema())), "run: python -m ewr_fenicsx.scene.scene_reference docs"
 
 
 def find_table(schema: dict, entry: dict, value: dict) -> dict | None:

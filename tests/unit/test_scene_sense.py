@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from small_scenes import AT, HEAD, PULL, SCENE, SHAKE
 
-from ewr_fenicsx.chain import check_flanks, lay_laws, spread_wear
-from ewr_fenicsx.effects import list_effects
 from ewr_fenicsx.errors import SceneError, SceneWarning
-from ewr_fenicsx.scene import Scene, load_scene
+from ewr_fenicsx.scene.effects import list_effects
+from ewr_fenicsx.scene.scene import Scene, load_scene
+from ewr_fenicsx.structure.chain import check_flanks, lay_laws, spread_wear
 
 ROOT = Path(__file__).parents[2]
 JOINT = SimpleNamespace(flanks=("left", "right", "top"), flank_of_pair=np.array([0, 0, 1, 1, 1, 2]))
@@ -265,7 +265,7 @@ def test_demo_scenes_raise_no_doubts(path):
 
 OWN_LAW = """
 from dataclasses import dataclass
-from ewr_fenicsx.law_kinds import LawKind, register_law
+from ewr_fenicsx.laws.law_kinds import LawKind, register_law
 
 @register_law("tangential", "greased")
 @dataclass(frozen=True)

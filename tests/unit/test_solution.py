@@ -11,17 +11,17 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
-from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.indicators import (
+from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
+from ewr_fenicsx.solution.indicators import (
     measure_cone_violation,
     measure_rms,
     measure_separation,
     measure_sliding,
     measure_work,
 )
-from ewr_fenicsx.periodic_motion import HISTORIES
-from ewr_fenicsx.solution import COARSE_ENERGY, COARSE_TENSION, FINE, PeriodicSolution
+from ewr_fenicsx.solution.periodic_motion import HISTORIES
+from ewr_fenicsx.solution.solution import COARSE_ENERGY, COARSE_TENSION, FINE, PeriodicSolution
 
 SAMPLES = 96
 

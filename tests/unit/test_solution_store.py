@@ -12,8 +12,8 @@ from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.errors import OutputError
-from ewr_fenicsx.law_kinds import load_laws
-from ewr_fenicsx.solution_store import fingerprint, read_records, restore, strip, write_records
+from ewr_fenicsx.laws.law_kinds import load_laws
+from ewr_fenicsx.response.solution_store import fingerprint, read_records, restore, strip, write_records
 from ewr_fenicsx.whole_files import open_file, replace_file
 
 LAWS = ContactLaws(friction=0.3)
@@ -66,7 +66,7 @@ def test_work_under_an_own_law_is_not_gone_on_with_under_another(tmp_path):
     """The same name and parameters, but the file has been mended since."""
     written = """
 from dataclasses import dataclass
-from ewr_fenicsx.law_kinds import LawKind, register_law
+from ewr_fenicsx.laws.law_kinds import LawKind, register_law
 
 @register_law("tangential", "mended")
 @dataclass(frozen=True, eq=False)

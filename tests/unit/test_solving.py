@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS
 
-from ewr_fenicsx import ContactLaws, ReducedModel, newton, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.errors import ModelError, NotConverged
-from ewr_fenicsx.estimates import measure_distance
+from ewr_fenicsx.solver import newton
 
 JOINT = PROBLEMS["lift-off"]
 
@@ -54,7 +55,7 @@ def test_what_cannot_be_estimated_is_said_and_nothing_is_said_of_what_is_exact(m
     def fail(solution):
         raise MemoryError
 
-    monkeypatch.setattr("ewr_fenicsx.solving.estimate_at_once", fail)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.solving.estimate_at_once", fail)
     solution = solve(JOINT)
     assert "its error is not known: out of memory" in solution.summary()
     assert "error" not in replace(solution, converged=False, reason="as if").summary()
@@ -81,7 +82,7 @@ def pair_up(model):
 
 
 def test_what_falls_short_says_why(monkeypatch):
-    monkeypatch.setattr("ewr_fenicsx.accuracy.MOST_HARMONICS", 5)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.MOST_HARMONICS", 5)
     solution = solve(JOINT, accuracy=1e-6)
     assert solution.converged and solution.estimated_error > 1e-6
     assert solution.short == "harmonic 5 is the highest allowed; allow more, or ask for less"
@@ -94,7 +95,7 @@ def test_a_solve_that_fails_raises_or_returns_the_best_iterate(monkeypatch):
     def fail(*_, **__):
         raise NotConverged("as if", best=replace(best, converged=False))
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.solve", fail)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", fail)
     with pytest.raises(NotConverged, match="as if"):
         solve(JOINT, accuracy=0.1)
     assert not solve(JOINT, accuracy=0.1, raise_on_failure=False).converged

@@ -9,11 +9,12 @@ import pytest
 from balance_points import LAWS, prepare
 from small_models import PROBLEMS, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ladder, newton_path, solve
-from ewr_fenicsx import splitting as splitting_module
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.planar_coulomb import PLANE
-from ewr_fenicsx.splitting import FEWEST_SAMPLES, Splitting, can_split, resample, settle
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.planar_coulomb import PLANE
+from ewr_fenicsx.solver import ladder, newton_path
+from ewr_fenicsx.solver import splitting as splitting_module
+from ewr_fenicsx.solver.splitting import FEWEST_SAMPLES, Splitting, can_split, resample, settle
 
 FEW = 7  # harmonics for which a splitting takes as few samples as it ever does
 

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, ladder, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.harmonics import select_basis
-from ewr_fenicsx.inertial_coulomb import InertialCoulomb
-from ewr_fenicsx.sprung_coulomb import SprungCoulomb, run_stop
+from ewr_fenicsx.laws.inertial_coulomb import InertialCoulomb
+from ewr_fenicsx.laws.sprung_coulomb import SprungCoulomb, run_stop
+from ewr_fenicsx.problem.harmonics import select_basis
+from ewr_fenicsx.solver import ladder
 
 seeds = st.integers(0, 2**32 - 1)
 

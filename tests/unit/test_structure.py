@@ -13,38 +13,63 @@ import ewr_fenicsx
 
 FOLDER = Path(ewr_fenicsx.__file__).parent
 
-# Each module may import those before it.
+# Each folder may import from those before it, each module in it those before it too, and the commands at the end all.
 # fmt: off
-ORDER = [
-    "errors", "_compat", "petsc_options", "given", "whole_files", "rigid_modes", "reduced_model", "harmonics",
-    "law_kinds", "smoothing", "cone", "mean_friction", "unilateral", "bonded", "prescribed", "planar_coulomb",
-    "sprung_coulomb",
-    "inertial_coulomb", "coulomb", "contact_laws", "statics", "compliance", "closure", "layout", "contact_system",
-    "composition",
-    "contact_problem", "ignored", "law_claims",
-    "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "stability", "time_stepping",
-    "deviations", "hill", "floquet", "walking", "loading_history", "indicators", "periodic_motion", "solution",
-    "contact_state", "periodicity", "snes", "initial_states", "progress", "time_integration", "symmetry",
-    "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
-    "growing_load",
-    "weights", "newton", "dashpots", "looking_ahead", "estimates", "accuracy", "solving", "cost", "task_sharing",
-    "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep", "archard",
-    "wear_store", "wear_accuracy", "cycle_jumps", "wear", "scene_errors", "scene_entries", "scene_structure",
-    "scene_joint", "scene_sense", "scene", "scene_reference", "effects", "mesh", "materials", "facing", "elasticity",
-    "interface", "modes", "columns", "orientation", "reduction", "chain", "gathering", "plots", "mesh_plots",
-    "cost_plots", "folder_lock", "result_folder", "output", "wear_fields", "work_folder", "findings", "study",
-    "cost_report", "cli", "__main__",
-]
+ORDER = {
+    "": ["errors", "given", "progress", "task_sharing", "whole_files", "petsc_options"],
+    "model": ["rigid_modes", "reduced_model", "statics", "compliance"],
+    "laws": [
+        "law_kinds", "smoothing", "cone", "mean_friction", "unilateral", "bonded", "prescribed", "planar_coulomb",
+        "sprung_coulomb", "inertial_coulomb", "coulomb", "contact_laws",
+    ],
+    "problem": [
+        "harmonics", "closure", "layout", "contact_system", "composition", "contact_problem", "dashpots", "ignored",
+        "law_claims",
+    ],
+    "balance": ["law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
+    "in_time": ["time_stepping", "periodicity", "deviations", "hill", "floquet", "stability", "walking"],
+    "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
+    "solver": [
+        "snes", "initial_states", "time_integration", "continuation", "newton_path", "splitting", "growing_sets",
+        "warm_starts", "long_splitting", "ladder", "growing_load", "weights", "newton",
+    ],
+    "accuracy": ["looking_ahead", "estimates", "accuracy", "solving", "cost"],
+    "response": [
+        "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep",
+    ],
+    "wear": ["archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear"],
+    "scene": [
+        "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
+        "effects",
+    ],
+    "structure": [
+        "_compat", "mesh", "materials", "facing", "elasticity", "interface", "modes", "columns", "orientation",
+        "reduction", "chain",
+    ],
+    "output": [
+        "gathering", "plots", "mesh_plots", "cost_plots", "folder_lock", "result_folder", "work_folder", "output",
+        "wear_fields",
+    ],
+    "runs": ["findings", "study", "cost_report"],
+}
 # fmt: on
-CORE = ORDER[ORDER.index("rigid_modes") : ORDER.index("wear") + 1]
-MODULES = sorted(path.stem for path in FOLDER.rglob("*.py") if path.stem != "__init__")
-LONGEST = 400
+COMMANDS = ["cli", "__main__"]
+PLACES = [f"{folder}.{name}".lstrip(".") for folder, names in ORDER.items() for name in names] + COMMANDS
+CORE = PLACES[PLACES.index("model.rigid_modes") : PLACES.index("wear.wear") + 1]
+MODULES = sorted(
+    ".".join(path.relative_to(FOLDER).with_suffix("").parts) for path in FOLDER.rglob("*.py") if path.stem != "__init__"
+)
+LONGEST, MOST = 400, 15  # lines a module, modules a folder
 
 every_module = pytest.mark.parametrize("name", MODULES)
 
 
+def locate(name: str) -> Path:
+    return FOLDER / f"{name.replace('.', '/')}.py"
+
+
 def parse(name: str) -> ast.Module:
-    return ast.parse((FOLDER / f"{name}.py").read_text(encoding="utf-8"))
+    return ast.parse(locate(name).read_text(encoding="utf-8"))
 
 
 def imports_of(tree: ast.Module) -> set[str]:
@@ -52,25 +77,21 @@ def imports_of(tree: ast.Module) -> set[str]:
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("ewr_fenicsx.")}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            if node.module == "ewr_fenicsx":
-                found |= {alias.name for alias in node.names if alias.name in MODULES}
-            elif node.module.startswith("ewr_fenicsx."):
-                found.add(node.module.split(".")[1])
-        elif isinstance(node, ast.ImportFrom) and node.level:
-            raise AssertionError("relative import")
-    return found
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return {name.removeprefix("ewr_fenicsx.") for name in found} & set(MODULES)
 
 
 @every_module
 def test_each_module_has_its_place_in_the_order(name):
-    assert name in ORDER, f"{name}.py is not in the order of imports: place it, or do without it"
+    assert name in PLACES, f"{name} is not in the order of imports: place it, or do without it"
 
 
 @every_module
 def test_imports_go_upward(name):
-    assert imports_of(parse(name)) - set(ORDER[: ORDER.index(name)]) == set()
+    assert imports_of(parse(name)) - set(PLACES[: PLACES.index(name)]) == set()
 
 
 def test_the_core_imports_no_finite_elements():
@@ -95,7 +116,7 @@ def test_core_modules_name_no_finite_elements(name):
         elif isinstance(node, ast.ImportFrom) and node.module:
             roots.add(node.module.split(".")[0])
     assert not roots & {"dolfinx", "gmsh", "ufl", "basix", "slepc4py"}
-    assert "_compat" not in imports_of(parse(name)), "_compat imports dolfinx"
+    assert "structure._compat" not in imports_of(parse(name)), "_compat imports dolfinx"
 
 
 def test_importing_the_package_loads_nothing():
@@ -150,13 +171,25 @@ def test_everything_public_says_what_it_is(name):
 
 @every_module
 def test_no_module_does_two_things(name):
-    lines = len((FOLDER / f"{name}.py").read_text(encoding="utf-8").splitlines())
+    lines = len(locate(name).read_text(encoding="utf-8").splitlines())
     assert lines <= LONGEST, f"{name}.py has {lines} lines"
 
 
 @every_module
 def test_no_drawer_for_odds_and_ends(name):
-    assert name not in {"utils", "util", "helpers", "helper", "common", "misc"}
+    assert not {"utils", "util", "helpers", "helper", "common", "misc"} & set(name.split("."))
+
+
+@pytest.mark.parametrize("folder", ORDER)
+def test_each_folder_says_what_it_holds_and_can_be_overlooked(folder):
+    assert ast.get_docstring(ast.parse((FOLDER / folder / "__init__.py").read_text(encoding="utf-8")))
+    assert len(list((FOLDER / folder).glob("*.py"))) - 1 <= MOST
+
+
+def test_names_of_modules_are_told_from_one_another_without_their_folders():
+    """The documentation names files so."""
+    stems = [name.split(".")[-1] for name in MODULES]
+    assert len(set(stems)) == len(stems)
 
 
 @every_module

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from small_models import bar_against_wall, dovetail, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, time_stepping
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.periodicity import Watch
-from ewr_fenicsx.time_integration import State, integrate, resample
-from ewr_fenicsx.time_stepping import Carried, Period, TimeScheme
+from ewr_fenicsx.in_time import time_stepping
+from ewr_fenicsx.in_time.periodicity import Watch
+from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
+from ewr_fenicsx.solver.time_integration import State, integrate, resample
 
 
 def chain_of(pairs: int, seed: int = 0, damping: str = "proportional", press: float = 12.0) -> ReducedModel:
@@ -74,7 +75,7 @@ def test_dense_path_takes_the_same_steps_as_the_diagonal_one(monkeypatch):
 def test_compiled_loop_is_the_loop_that_is_read(monkeypatch):
     problem = pose(chain_of(2))
     compiled = integrate(problem, steps=20, periods=2, tolerance=0)
-    monkeypatch.setattr("ewr_fenicsx.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
+    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
     plain = integrate(problem, steps=20, periods=2, tolerance=0)
     assert plain.last.sweeps == compiled.last.sweeps
     assert plain.last.impulses == pytest.approx(compiled.last.impulses, rel=1e-9, abs=1e-12)
@@ -409,7 +410,7 @@ def test_importing_the_module_does_not_load_numba():
     import subprocess
     import sys
 
-    code = "import sys, ewr_fenicsx.time_integration; sys.exit('numba' in sys.modules)"
+    code = "import sys, ewr_fenicsx.solver.time_integration; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, growing_sets, snes, solve, splitting, warm_starts
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.newton_step import Factorisation
 from ewr_fenicsx.errors import ModelError, NotConverged
-from ewr_fenicsx.newton_step import Factorisation
-from ewr_fenicsx.snes import run_newton
-from ewr_fenicsx.warm_starts import carry_over, list_starts
+from ewr_fenicsx.solver import growing_sets, snes, splitting, warm_starts
+from ewr_fenicsx.solver.snes import run_newton
+from ewr_fenicsx.solver.warm_starts import carry_over, list_starts
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -109,7 +110,7 @@ def test_a_near_start_that_fails_is_tried_with_shortened_steps(monkeypatch):
         tried.append(near)
         return original(balance, unknowns, tolerance, solver, 0 if near else limit, near=near)
 
-    monkeypatch.setattr("ewr_fenicsx.warm_starts.run_newton", fail_first)
+    monkeypatch.setattr("ewr_fenicsx.solver.warm_starts.run_newton", fail_first)
     start = solve(SLIPS)
     tried.clear()
     found = solve(replace(SLIPS, harmonics=9), start)
@@ -121,7 +122,7 @@ def test_a_warm_start_that_takes_many_steps_is_given_up(monkeypatch):
     start, further = solve(SLIPS), replace(SLIPS, frequency=1.05 * SLIPS.frequency)
     usual = solve(further, start)
     assert usual.iterations > 3 and usual.fallbacks == ()
-    monkeypatch.setattr("ewr_fenicsx.warm_starts.WARM_STEPS", 1)
+    monkeypatch.setattr("ewr_fenicsx.solver.warm_starts.WARM_STEPS", 1)
     found = solve(further, start)
     assert found.fallbacks[0] == "given start: too many Newton steps"
     np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())
@@ -182,7 +183,7 @@ def test_where_a_guided_run_fails_a_splitting_is_the_other_way(monkeypatch):
         return original(balance, unknowns, tolerance, solver, limit if near else 0, near=near)
 
     usual = solve(problem, start)
-    monkeypatch.setattr("ewr_fenicsx.warm_starts.run_newton", fail_first)
+    monkeypatch.setattr("ewr_fenicsx.solver.warm_starts.run_newton", fail_first)
     found = solve(problem, start)
     assert tried == [False, True] and found.converged and found.fallbacks == ()
     np.testing.assert_allclose(found.forces, usual.forces, atol=1e-6 * np.abs(usual.forces).max())

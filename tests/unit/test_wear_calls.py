@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, cycle_jumps, evolve_wear, solve, wear
-from ewr_fenicsx.archard import measure_wear_rate
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
 from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.wear import cycle_jumps, wear
+from ewr_fenicsx.wear.archard import measure_wear_rate
 
 WEAR = 1e-10
 

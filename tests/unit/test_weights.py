@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ewr_fenicsx import ladder, newton_path, solve, weights
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.continuation import BranchPoint
-from ewr_fenicsx.snes import Attempt
+from ewr_fenicsx import solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import ladder, newton_path, weights
+from ewr_fenicsx.solver.continuation import BranchPoint
+from ewr_fenicsx.solver.snes import Attempt
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

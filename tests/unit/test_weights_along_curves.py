@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, findings, frequency_response, frequency_sweep, solve, weights
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.response import frequency_sweep
+from ewr_fenicsx.runs import findings
+from ewr_fenicsx.solver import weights
 
 LAWS = ContactLaws(friction=0.3)
 FREQUENCIES = np.linspace(0.08, 0.4, 9)

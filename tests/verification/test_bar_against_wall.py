@@ -32,8 +32,8 @@ from scipy.optimize import brentq
 from small_models import bar_against_wall
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 MEAN, RIPPLE, OMEGA, SAMPLES = 1.0, 1.8, 0.7, 4096
 

@@ -25,8 +25,8 @@ from scipy.optimize import minimize_scalar
 from small_models import friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
-from ewr_fenicsx.contact_state import STICK, classify_contact
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution.contact_state import STICK, classify_contact
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 # beta, F, amplitude, largest F without stops, error allowed at N = 31 (measured: 0.25, 1.65, 0.11 and 0.10 %)
 TABLE = [

@@ -20,9 +20,9 @@ from small_models import friction_oscillator
 from test_den_hartog import exact_amplitude, largest_friction_without_stops
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 HIGHEST = 15
 

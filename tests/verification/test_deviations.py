@@ -7,9 +7,16 @@ import pytest
 from small_models import dovetail
 from test_floquet import FRICTIONLESS, gyroscope, step_masses, two_masses
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, floquet, solve
-from ewr_fenicsx.deviations import PERIODS, differentiate_along, differentiate_laws, follow_modes, step_deviations
-from ewr_fenicsx.hill import SMALL, Hill
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.in_time import floquet
+from ewr_fenicsx.in_time.deviations import (
+    PERIODS,
+    differentiate_along,
+    differentiate_laws,
+    follow_modes,
+    step_deviations,
+)
+from ewr_fenicsx.in_time.hill import SMALL, Hill
 
 SPIRALS, STAYS = 0.42, 0.4  # Hz, of two_masses
 
@@ -84,7 +91,7 @@ def test_few_and_many_unknowns_take_the_same_exponents(monkeypatch):
     guess = (0.03 + 0.4j) * system.compliance.omega
     by_arnoldi = Hill(system, slopes, guess, 9).find_nearest()
     assert SMALL < 19 * (2 * 2 + 1)
-    monkeypatch.setattr("ewr_fenicsx.hill.SMALL", 1000)
+    monkeypatch.setattr("ewr_fenicsx.in_time.hill.SMALL", 1000)
     directly = Hill(system, slopes, guess, 9).find_nearest()
     np.testing.assert_allclose(by_arnoldi, directly, rtol=1e-8)
 

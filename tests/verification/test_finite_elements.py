@@ -15,12 +15,12 @@ import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import ModesError
-from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, Material, RayleighRatios
-from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.modes import full_stick_modes, solve_modes, tie_pairs
+from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.interface import pair_interface
+from ewr_fenicsx.structure.materials import TITANIUM, Material, RayleighRatios
+from ewr_fenicsx.structure.mesh import build_mesh
+from ewr_fenicsx.structure.modes import full_stick_modes, solve_modes, tie_pairs
 
 GEOMETRY = Path(__file__).parents[1] / "geometry"
 TWO_BLOCKS = GEOMETRY / "two_blocks.py"
@@ -145,7 +145,7 @@ import resource
 import scipy.sparse as sparse
 from pathlib import Path
 from petsc4py import PETSc
-from ewr_fenicsx.modes import solve_modes
+from ewr_fenicsx.structure.modes import solve_modes
 
 def membrane(n):
     string = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n))

@@ -16,15 +16,15 @@ from ewr_fenicsx import (
     ContactProblem,
     ReducedModel,
     build_reduced_model,
-    floquet,
     frequency_response,
     integrate,
     load_scene,
     solve,
 )
-from ewr_fenicsx.chain import build_chain, pose_problem
-from ewr_fenicsx.deviations import differentiate_laws
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.in_time import floquet
+from ewr_fenicsx.in_time.deviations import differentiate_laws
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 DEMOS = Path(__file__).parents[2] / "demos"
 FRICTIONLESS = ContactLaws(tangential="frictionless")
@@ -254,7 +254,7 @@ def test_what_motions_in_time_do_not_bear_out_is_no_instability(monkeypatch):
     by_the_series = []
     monkeypatch.setattr(floquet, "is_borne_out", lambda *_: not by_the_series.append(1))
     assert replace(found).multiplier == 0, "the motion settles beside it, whatever its deviations do"
-    monkeypatch.setattr("ewr_fenicsx.solution.settles", lambda *_: False)
+    monkeypatch.setattr("ewr_fenicsx.solution.solution.settles", lambda *_: False)
     assert abs(replace(found).multiplier) > floquet.GROWTH and by_the_series
 
 
@@ -263,7 +263,7 @@ def test_laws_that_are_not_stepped_in_time_are_taken_by_their_series(monkeypatch
         raise ModelError("time integration knows only others; use solve")
 
     found = solve(tapping(0.42))
-    monkeypatch.setattr("ewr_fenicsx.time_stepping.TimeScheme", refuse)
+    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.TimeScheme", refuse)
     assert replace(found).multiplier == found.multiplier != 0
 
 

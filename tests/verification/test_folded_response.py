@@ -14,20 +14,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import (
-    ContactLaws,
-    ContactProblem,
-    PeriodicSolution,
-    ReducedModel,
-    continuation,
-    following,
-    frequency_response,
-    frequency_sweep,
-    solve,
-)
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.continuation import BranchPoint, retraces
+from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, frequency_response, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.response import following, frequency_sweep
+from ewr_fenicsx.solver import continuation
+from ewr_fenicsx.solver.continuation import BranchPoint, retraces
 
 GAP, FORCE, DAMPING, STOP = 1.0, 0.08, 0.04, 1.0
 LAWS = ContactLaws(tangential="frictionless", initial_gap=GAP)
@@ -82,7 +74,7 @@ def test_where_a_curve_turns_back_its_summaries_say_what_its_table_says(curve, m
 
 
 def test_no_determinant_is_looked_at_where_no_curve_turns_back(monkeypatch):
-    monkeypatch.delattr("ewr_fenicsx.solution.find_side")
+    monkeypatch.delattr("ewr_fenicsx.solution.solution.find_side")
     straight = frequency_response(stop_oscillator(), LAWS, [0.1, 0.11, 0.12], harmonics=5, progress=False)
     assert not straight.unstable.any()
 

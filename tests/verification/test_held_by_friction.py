@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 
 STIFFNESS, ARM, FRICTION, SIDEWAYS = 1e7, 0.05, 0.3, 25.0  # N/m, m, -, N
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, initial_states, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, integrate, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.time_stepping import State
+from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.solver import initial_states
 
 PULL, NORMAL, ALONG, CLAMP = 200.0, 1e6, 2e6, 1e6  # N; stiffness of the flank, along it, and of the clamp [N/m]
 GROUND = 2e5

@@ -26,7 +26,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 FORCE, PRESSURE, FRICTION, PEAK = np.pi / 4, 0.5, 0.3, 0.5  # P, p0, mu, largest Q / (mu P)
 LARGEST = PEAK * FRICTION * FORCE

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.archard import measure_wear_rate
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.wear.archard import measure_wear_rate
 
 SPRING, LIMIT, SUPPORT = 2.0, 0.6, 1e7
 AMPLITUDES = (0.32, 0.45, 0.75, 1.5)  # slip begins at F/k = 0.3

@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from small_models import stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, initial_states, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.time_integration import integrate
-from ewr_fenicsx.time_stepping import TimeScheme
+from ewr_fenicsx.in_time.time_stepping import TimeScheme
+from ewr_fenicsx.solver import initial_states
+from ewr_fenicsx.solver.time_integration import integrate
 
 STOP = ContactLaws(tangential="frictionless", initial_gap=1.0)
 

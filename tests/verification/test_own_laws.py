@@ -23,15 +23,15 @@ from test_jenkins import AMPLITUDES, LIMIT, SPRING, SUPPORT, drive, exact_force,
 
 import ewr_fenicsx
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.contact_state import SLIP, STICK, classify_contact, list_histories
-from ewr_fenicsx.coulomb import Coulomb
-from ewr_fenicsx.dashpots import read_weight
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, UnheldBody
-from ewr_fenicsx.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
-from ewr_fenicsx.layout import hold
-from ewr_fenicsx.mean_friction import MEAN_FRICTION_REGULARISATION
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.laws.coulomb import Coulomb
+from ewr_fenicsx.laws.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, known_laws, register_law
+from ewr_fenicsx.laws.mean_friction import MEAN_FRICTION_REGULARISATION
+from ewr_fenicsx.problem.dashpots import read_weight
+from ewr_fenicsx.problem.layout import hold
+from ewr_fenicsx.solution.contact_state import SLIP, STICK, classify_contact, list_histories
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

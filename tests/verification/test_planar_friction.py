@@ -16,12 +16,12 @@ from law_checks import lift_foot, ride_in_grooves
 from small_models import block_on_feet, friction_oscillator, sled_in_a_plane
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
-from ewr_fenicsx.accuracy import solve_to_accuracy
-from ewr_fenicsx.archard import measure_wear_rate
-from ewr_fenicsx.contact_state import OPEN, SLIP, STICK, classify_contact
-from ewr_fenicsx.dashpots import match_mobility
+from ewr_fenicsx.accuracy.accuracy import solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
-from ewr_fenicsx.planar_coulomb import PLANE
+from ewr_fenicsx.laws.planar_coulomb import PLANE
+from ewr_fenicsx.problem.dashpots import match_mobility
+from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact
+from ewr_fenicsx.wear.archard import measure_wear_rate
 
 
 def limited(limit: float | dict, **other) -> ContactLaws:

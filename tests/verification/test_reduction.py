@@ -16,12 +16,12 @@ import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from ewr_fenicsx.elasticity import EdgeForce, OutputSpec, assemble_structure
 from ewr_fenicsx.errors import InterfaceError, ModesError
-from ewr_fenicsx.interface import pair_interface
-from ewr_fenicsx.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
-from ewr_fenicsx.mesh import build_mesh
-from ewr_fenicsx.reduction import _residual_vectors, keep_more_modes, reduce_structure
+from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.interface import pair_interface
+from ewr_fenicsx.structure.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
+from ewr_fenicsx.structure.mesh import build_mesh
+from ewr_fenicsx.structure.reduction import _residual_vectors, keep_more_modes, reduce_structure
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 STACKS = Path(__file__).parents[1] / "geometry" / "stacks.py"
@@ -402,6 +402,6 @@ def test_the_basis_is_in_memory_but_once_and_reducing_again_takes_no_more():
 
 def test_a_reduction_that_no_memory_holds_is_refused_at_once(monkeypatch):
     structure, interface = assemble(FIR_TREE)
-    monkeypatch.setattr("ewr_fenicsx.reduction.os.sysconf", lambda name: 1000)
+    monkeypatch.setattr("ewr_fenicsx.structure.reduction.os.sysconf", lambda name: 1000)
     with pytest.raises(InterfaceError, match=r"40 pairs on .* needs 0\.00[0-9]+ GB, and this machine has 0\.001 GB"):
         reduce_structure(structure, interface)

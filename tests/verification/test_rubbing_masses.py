@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, floquet, solve
-from ewr_fenicsx.deviations import differentiate_laws
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx.in_time import floquet
+from ewr_fenicsx.in_time.deviations import differentiate_laws
 
 
 def rub(damping: float, friction: float, frequency: float, harmonics: int, light: float | None = None):

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from small_models import PROBLEMS, dovetail, repeat_first_pair, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve, stability
-from ewr_fenicsx.balance import HarmonicBalance
-from ewr_fenicsx.compliance import condense
-from ewr_fenicsx.contact_system import ContactSystem
+from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.harmonics import FourierBasis
-from ewr_fenicsx.newton_step import NewtonStep
+from ewr_fenicsx.in_time import stability
+from ewr_fenicsx.model.compliance import condense
+from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.harmonics import FourierBasis
 
 LAWS = ContactLaws(tangential="frictionless", initial_gap=1.0)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, load_scene, solve
-from ewr_fenicsx.chain import build_chain, pose_problem
 from ewr_fenicsx.errors import ModelError, UnheldBody
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 SCENE = Path(__file__).parents[2] / "demos" / "blade_root.toml"
 

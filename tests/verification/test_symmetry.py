@@ -9,7 +9,7 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
-from ewr_fenicsx.symmetry import find_idle_harmonics, include_idle, leave_out_idle
+from ewr_fenicsx.solution.symmetry import find_idle_harmonics, include_idle, leave_out_idle
 
 N = 7
 EVERY = tuple(range(N + 1))  # listed: nothing is left out

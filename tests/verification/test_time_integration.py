@@ -10,7 +10,7 @@ import pytest
 from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.time_integration import State, integrate
+from ewr_fenicsx.solver.time_integration import State, integrate
 
 
 def den_hartog_amplitude(beta: float, share: float) -> float:

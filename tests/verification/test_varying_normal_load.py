@@ -16,8 +16,8 @@ import pytest
 from small_models import friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.dashpots import match_mobility
-from ewr_fenicsx.solution import PeriodicSolution
+from ewr_fenicsx.problem.dashpots import match_mobility
+from ewr_fenicsx.solution.solution import PeriodicSolution
 
 DAMPING, FREQUENCY, MEAN_LOAD = 0.15, 0.8, 0.4
 STEPS = 4000  # a period

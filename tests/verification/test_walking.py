@@ -17,11 +17,11 @@ from ewr_fenicsx import (
     frequency_response,
     integrate,
     solve,
-    walking,
 )
-from ewr_fenicsx.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged, UnheldBody
-from ewr_fenicsx.walking import NOTICED, Walk, measure_walk, walks
+from ewr_fenicsx.in_time import walking
+from ewr_fenicsx.in_time.walking import NOTICED, Walk, measure_walk, walks
 
 LIMIT = 0.3
 
@@ -143,7 +143,7 @@ def test_a_walk_is_told_as_it_is_in_time_also_where_a_truncation_happens_to_leav
 
 @pytest.mark.parametrize("name", HELD)
 def test_what_friction_leaves_over_where_it_holds_is_far_below_what_is_noticed(name, monkeypatch):
-    monkeypatch.setattr("ewr_fenicsx.walking.NOTICED", 0.1 * NOTICED)
+    monkeypatch.setattr("ewr_fenicsx.in_time.walking.NOTICED", 0.1 * NOTICED)
     solution = solve(replace(sled(*HELD[name]), harmonics=tuple(range(16))))  # a list: with the mean, symmetry or not
     balance = HarmonicBalance(solution.problem.system)
     assert np.any(balance.static_displacement_row > 0) and balance.basis.has_mean

@@ -19,18 +19,18 @@ from ewr_fenicsx import (
     ContactProblem,
     ReducedModel,
     Tolerance,
-    cycle_jumps,
     evolve_wear,
     integrate,
     solve,
     solve_to_accuracy,
 )
-from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
-from ewr_fenicsx.contact_state import STICK, classify_contact
+from ewr_fenicsx.accuracy.estimates import estimate_errors
 from ewr_fenicsx.errors import NotConverged, UnheldBody
-from ewr_fenicsx.estimates import estimate_errors
-from ewr_fenicsx.following import solve_from
-from ewr_fenicsx.wear_fields import tabulate_wear_fields
+from ewr_fenicsx.output.wear_fields import tabulate_wear_fields
+from ewr_fenicsx.response.following import solve_from
+from ewr_fenicsx.solution.contact_state import STICK, classify_contact
+from ewr_fenicsx.wear import cycle_jumps
+from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 MEAN_PRESSURE = LOAD / (PAIRS * AREA)

@@ -12,7 +12,7 @@ import pytest
 from small_models import winkler_punch
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve
-from ewr_fenicsx.archard import find_explicit_limit, find_wear_stiffness
+from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 STEEP = 4e-7  # wear coefficient [1/Pa] by which a cycle wears several times the pressure away

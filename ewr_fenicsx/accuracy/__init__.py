@@ -1,0 +1,1 @@
+"""What accuracy costs: errors estimated from solutions, and the cheapest solve that is accurate enough."""

@@ -1,0 +1,329 @@
+"""The weighted residual of a contact system and its generalised Jacobian ``J = E + S H``.
+
+Unknowns: the Fourier coefficients of the contact forces, ``(n_c, m)``, and the rigid coordinates of floating bodies.
+Laws are evaluated at samples in time and projected on the harmonics. E and S (a law's derivatives) are block-diagonal
+over pairs, H (the compliance) is block-diagonal over harmonics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, cached_property, partial
+
+import numpy as np
+
+from ewr_fenicsx.balance.elimination import REDUNDANCY
+from ewr_fenicsx.balance.law_derivatives import Derivative
+from ewr_fenicsx.balance.newton_step import NewtonStep
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.laws.law_kinds import Motion, Response, Signal, Variable
+from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
+from ewr_fenicsx.problem.law_claims import check_claims, check_response
+
+# Least share of the mean friction force in its own equation, where a run starts: with less, Newton's method stalls at
+# pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
+FIRM = 1e-4
+HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
+# Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
+# gaps that do close take less, and pairs slip before they hold a resonance; of order one, for contact forces are, too.
+MOST = 3.0
+LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
+
+
+class HarmonicBalance:
+    """Residual of a contact system as a function of one real vector, scaled to be of order one.
+
+    Args:
+        system: The composed system, with at least one row.
+        force_unit: Force that counts as one [N]; None: the norm of the full-stick forces, or less.
+        least_share: Least weight of the mean force in its mean equation, where it has any; that of the mean
+            displacement rises with it.
+    """
+
+    def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):
+        self.system = system
+        self._force_unit = force_unit
+        self._last = None  # the point at which the laws were evaluated last, and what came out
+        self.basis = system.basis
+        self.compliance = system.compliance
+        self.rate = 1j * system.compliance.omega * np.array(system.basis.orders)
+        self.rows = system.rows.shape[0]
+        self.rigid = system.compliance.rigid_motion.shape[1]
+        self.law_rows = match_rows(system)
+        for law in system.laws:
+            check_claims(law)
+        self.static_row, self.static_force_row, self.static_displacement_row = np.zeros((3, self.rows))
+        for law, rows in zip(system.laws, self.law_rows, strict=True):
+            self.static_row[rows], self.static_force_row[rows] = law.static_row, law.static_force_row
+            self.static_displacement_row[rows] = law.static_displacement_row
+        weak = (self.static_force_row > 0) & (self.static_force_row < least_share)
+        self.static_displacement_row[weak] *= least_share / self.static_force_row[weak]  # what shares a load does still
+        self.static_force_row[weak] = least_share
+        self.held = (self.static_displacement_row > 0) & (self.static_force_row == 0)  # in place, by springs alone
+        least = HELD_FIRMER * least_share / system.flexibility
+        self.static_displacement_row[self.held] = np.maximum(self.static_displacement_row, least)[self.held]
+        self.unknown = np.ones((self.basis.coefficients, self.rows), dtype=bool)
+        if self.basis.has_mean:
+            self.unknown[0] = self.static_row > 0
+        self.size = int(self.unknown.sum()) + self.rigid
+        self.hangs_on_friction = bool(self.rigid and np.any(self.static_displacement_row > 0))
+        self.linear = self.size == 0 or all(law.linear for law in system.laws)
+
+    @cached_property
+    def full_stick(self) -> tuple[ComplexArray, RealArray]:
+        """Force amplitudes ``(n_h, m)`` and rigid coordinates when no pair opens or slips: the linear start."""
+        return self._stick(lambda target: target)
+
+    def _stick(self, place: Callable[[RealArray], RealArray]) -> tuple[ComplexArray, RealArray]:
+        """``full_stick``, where the laws' mean displacements are given to ``place`` and what it returns is held [m]."""
+        compliance = self.compliance
+        forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
+        rigid = np.zeros(self.rigid)
+        own = REDUNDANCY * self.system.flexibility
+        for law, rows in zip(self.system.laws, self.law_rows, strict=True):
+            own[rows] += law.stick_flexibility
+        shift = np.diag(own)
+        for j, h in enumerate(self.basis.orders):
+            if h and np.any(compliance.free_motion[j]):
+                forces[j] = _hold_still(compliance.flexibility[j] + shift, compliance.free_motion[j])
+        if self.basis.has_mean:
+            target = np.full(self.rows, np.nan)
+            for law, rows in zip(self.system.laws, self.law_rows, strict=True):
+                target[rows] = np.nan if law.static_target is None else place(law.static_target)
+            held = np.flatnonzero(np.isfinite(target))
+            unit = self.mean_flexibility
+            G = compliance.rigid_motion[held]
+            saddle = np.block(
+                [
+                    [(compliance.flexibility[0].real + shift)[np.ix_(held, held)] / unit, G],
+                    [G.T, np.zeros((self.rigid,) * 2)],
+                ]
+            )
+            motion = target[held] - compliance.free_motion[0].real[held]
+            solution = np.linalg.lstsq(saddle, np.concatenate([motion / unit, -compliance.rigid_load]), rcond=1e-13)[0]
+            forces[0, held] = solution[: held.size]
+            rigid = solution[held.size :] * unit
+        return forces, rigid
+
+    @cached_property
+    def force_unit(self) -> float:
+        """Force that counts as one [N]: what full stick takes, up to ``MOST`` times the usual, where none was given."""
+        return self._force_unit or self.measure_stick(MOST)
+
+    def measure_stick(self, most: float) -> float:
+        """Norm of the full-stick forces, up to ``most`` times the usual [N]; one where there are none.
+
+        Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. That may take forces beside
+        which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
+        resonance. Usual is what holds the pairs where they are, each row by itself where they oscillate.
+        """
+        held = stick = self.full_stick[0]
+        targets = [law.static_target for law in self.system.laws if law.static_target is not None]
+        if any(np.any(target < 0) for target in targets):
+            held = self._stick(lambda target: np.maximum(target, 0.0))[0]
+        oscillates = self.rate != 0
+        alone = self.compliance.free_motion[oscillates] / self.system.flexibility
+        usual = np.hypot(
+            np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
+        )
+        unit = float(np.linalg.norm(stick))
+        return min(unit, float(most * usual) or unit) or 1.0
+
+    @cached_property
+    def firm(self) -> HarmonicBalance:
+        """The balance to start with: each mean friction force has the share ``FIRM`` at least in its own equation."""
+        firm = HarmonicBalance(self.system, self.force_unit, FIRM)
+        return self if firm.is_like(self) else firm
+
+    def is_like(self, other: HarmonicBalance) -> bool:
+        """Whether another balance of the same system has the same mean equations."""
+        weights = ("static_force_row", "static_displacement_row")
+        return all(np.array_equal(getattr(self, w), getattr(other, w)) for w in weights)
+
+    @cached_property
+    def mean_flexibility(self) -> float:
+        """Of the rows, by which motions are brought to forces [m/N]; one where there are none."""
+        return float(np.mean(self.system.flexibility)) if self.rows else 1.0
+
+    @cached_property
+    def length_unit(self) -> float:
+        """Natural length of the problem [m]."""
+        return self.force_unit * self.mean_flexibility
+
+    @cached_property
+    def rigid_motion(self) -> RealArray:
+        """``(m, r)`` motion of the rows by the scaled rigid coordinates, which are in newtons [m/N]."""
+        return self.compliance.rigid_motion * self.mean_flexibility
+
+    def pack(self, forces: ComplexArray, rigid: RealArray) -> RealArray:
+        """Scaled vector of unknowns, ``(size,)``."""
+        coefficients = self.basis.to_coefficients(forces)[self.unknown]
+        return np.concatenate([coefficients / self.force_unit, rigid / self.length_unit])
+
+    def unpack(self, unknowns: RealArray) -> tuple[ComplexArray, RealArray]:
+        """Force amplitudes ``(n_h, m)`` [N] and rigid coordinates ``(r,)`` [m]."""
+        forces = self.basis.to_amplitudes(self.place(unknowns) * self.force_unit)
+        return forces, unknowns[self.size - self.rigid :] * self.length_unit
+
+    def place(self, vector: RealArray) -> RealArray:
+        """Coefficients ``(n_c, m)`` of a vector like the unknowns, ``(size,)``; zero where there is no unknown."""
+        coefficients = np.zeros(self.unknown.shape)
+        coefficients[self.unknown] = vector[: self.size - self.rigid]
+        return coefficients
+
+    def sample(self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis | None = None) -> list[Motion]:
+        """What each law sees over one period under force and motion amplitudes ``(n_h, m)``, for all laws in turn."""
+        basis = basis or self.basis
+        return self.observe(self.signals(forces, motion, basis), basis.samples)
+
+    def observe(self, signals: Mapping[Variable, Callable[[], RealArray]], samples: int) -> list[Motion]:
+        """What each law sees of signals, variable -> what computes it at all rows over one period ``(samples, m)``."""
+        seen = []
+        for law in self.system.laws:
+            columns = {d: rows[law.pairs] for d, rows in self.system.index.items() if np.all(rows[law.pairs] >= 0)}
+            variables = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
+            if "normal" not in columns:
+                given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, samples))
+                variables["force"] = Signal(signals["force"], columns, {"normal": given})
+            seen.append(Motion(**variables))
+        return seen
+
+    def signals(
+        self, forces: ComplexArray, motion: ComplexArray, basis: FourierBasis
+    ) -> dict[Variable, Callable[[], RealArray]]:
+        """Variable -> what computes it at all rows over one period, ``(n_t, m)``, once and only when called."""
+        rate, oscillates = self.rate[:, None], (self.rate != 0)[:, None]
+        synthesise = {
+            "force": lambda: basis.synthesise(forces),
+            "force_rate": lambda: basis.synthesise(rate * forces),
+            "displacement": lambda: basis.synthesise(motion),
+            "oscillation": lambda: basis.synthesise(oscillates * motion),
+            "velocity": lambda: basis.synthesise(rate * motion),
+            "acceleration": lambda: basis.synthesise(rate**2 * motion),
+        }
+        return {name: cache(compute) for name, compute in synthesise.items()}
+
+    def residual(self, unknowns: RealArray, motion: ComplexArray | None = None) -> RealArray:
+        """Scaled weighted residual, ``(size,)``, of the laws at the motion that the forces cause or another one [m]."""
+        return self._respond(unknowns, motion)[-1].copy()
+
+    def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
+        """Residual and generalised Jacobian at a point.
+
+        Args:
+            unknowns: ``(size,)`` scaled.
+            motion: ``(n_h, m)`` motion at which the laws are linearised in place of the one that the forces cause [m]:
+                that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
+                linearised one.
+        """
+        forces, rigid, caused, responses, residual = self._respond(unknowns, motion)
+        step = NewtonStep(self, self.differentiate(responses), residual)
+        if motion is not None:
+            step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
+        return step
+
+    def take_whole_steps(
+        self, unknowns: RealArray, most: int, tolerance: float, motion: ComplexArray | None = None
+    ) -> tuple[RealArray | None, int]:
+        """Unknowns where Newton's method comes to without a line search, in ``most`` steps at most; None if nowhere.
+
+        Args:
+            unknowns: ``(size,)`` scaled, where it begins.
+            most: Linearisations.
+            tolerance: Residual norm accepted.
+            motion: At which the first step linearises the laws, as in ``linearise``.
+
+        Returns:
+            These unknowns, and the steps taken.
+        """
+        for taken in range(most):
+            if not np.linalg.norm(unknowns) < LOST:
+                return None, taken
+            step = self.linearise(unknowns, motion)
+            if motion is None and np.linalg.norm(step.residual) < tolerance:
+                return unknowns, taken
+            try:
+                unknowns, motion = unknowns - step.solve(step.residual), None
+            except np.linalg.LinAlgError:
+                return None, taken
+        return None, most
+
+    def differentiate(self, responses: Sequence[Response]) -> tuple[Derivative, ...]:
+        """Derivatives of all laws by what is unknown, from their responses."""
+        derivatives = []
+        for law, rows, response in zip(self.system.laws, self.law_rows, responses, strict=True):
+            for variable, direction, values, since, kept in response.partials:
+                columns = self.system.row_of(direction, law.pairs)
+                if np.all(columns >= 0):  # else it is given, not unknown
+                    derivatives.append(Derivative(rows, columns, variable, values, since, kept))
+        return tuple(derivatives)
+
+    def _respond(
+        self, unknowns: RealArray, motion: ComplexArray | None = None
+    ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response], RealArray]:
+        """Forces, rigid coordinates, the motion that they cause, responses of the laws to it or another, and residual.
+
+        The last point is remembered: a Newton step starts where the line search before it ended.
+        """
+        if motion is None and self._last is not None and np.array_equal(unknowns, self._last[0]):
+            return self._last[1]
+        forces, rigid = self.unpack(unknowns)
+        caused = self.compliance.motion(forces, rigid)
+        seen = self.sample(forces, caused if motion is None else motion)
+        responses = [law.evaluate(at) for law, at in zip(self.system.laws, seen, strict=True)]
+        if self._last is None:  # a law that answers well once does so always
+            for law, response in zip(self.system.laws, responses, strict=True):
+                check_response(law, response, (self.basis.samples, law.pairs.size))
+        answer = forces, rigid, caused, responses, self._project(forces, rigid, [r.residual for r in responses])
+        if motion is None:
+            self._last = unknowns.copy(), answer
+        return answer
+
+    def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
+        coefficients = np.empty(self.unknown.shape)
+        for rows, residual in zip(self.law_rows, residuals, strict=True):
+            coefficients[:, rows] = self.basis.project(residual)
+        balance = np.zeros(0)
+        if self.basis.has_mean:
+            mean = forces[0].real
+            coefficients[0] = self.static_row * coefficients[0] + self.static_force_row * mean
+            if np.any(self.static_displacement_row):
+                motion = self.compliance.motion(forces[:1], rigid)[0].real
+                coefficients[0] += self.static_displacement_row * motion
+            balance = self.compliance.rigid_motion.T @ mean + self.compliance.rigid_load
+        return np.concatenate([coefficients[self.unknown], balance]) / self.force_unit
+
+
+def match_rows(system: ContactSystem) -> list[np.ndarray]:
+    """``(K,)`` rows of each law's pairs.
+
+    Raises:
+        ModelError: A law owns a direction in which its kind does not act; or a row has no law, or two.
+    """
+    for law in system.laws:
+        if law.direction not in system.index or np.any(system.index[law.direction][law.pairs] < 0):
+            known = ", ".join(f'"{direction}"' for direction in system.index)
+            raise ModelError(
+                f'{type(law).__name__}.direction = "{law.direction}", where its pairs have no unknown force; they have '
+                f"one in {known}: make it one of these, or name it in the kind's acts_in"
+            )
+    rows = [system.index[law.direction][law.pairs] for law in system.laws]
+    owners = np.bincount(np.concatenate([np.zeros(0, dtype=int), *rows]), minlength=system.rows.shape[0])
+    for direction, index in system.index.items():
+        wrong = [pair for pair, row in enumerate(index) if row >= 0 and owners[row] != 1]
+        if wrong:
+            raise ModelError(
+                f"{owners[index[wrong[0]]]} laws own the {direction.replace('_', ' ')} force of pair {wrong[0]}; the "
+                "kind that acts there must build one law for each direction that acts_in names"
+            )
+    return rows
+
+
+def _hold_still(flexibility: ComplexArray, motion: ComplexArray) -> ComplexArray:
+    """Forces ``(m,)`` that cancel a motion; the least ones where redundant pairs look the same next to a resonance."""
+    try:
+        return np.linalg.solve(flexibility, -motion)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(flexibility, -motion, rcond=REDUNDANCY)[0]

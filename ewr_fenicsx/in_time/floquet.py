@@ -1,0 +1,265 @@
+"""Floquet multipliers: whether small deviations from a periodic solution grow from period to period, turning or not.
+
+A pair of complex multipliers beyond the unit circle changes no sign of a determinant (``stability.py``): motions leave
+in a spiral, mostly for one that never repeats.
+
+Deviations are stepped through the period from every unit state, for a guess (``deviations.py``): that displaces the
+instants at which pairs change status by up to half a sample, and by itself would call some stable solutions unstable,
+and some unstable ones stable. What counts are the exponents nearest to a guess on the solution's harmonics
+(``hill.py``), where deviations also grow along the motion in time that begins on the solution: truncated, many pairs
+that lift off may do so where the laws would not have it.
+
+Source: Seydel (2010), Practical Bifurcation and Stability Analysis, doi:10.1007/978-1-4419-1740-9.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.in_time.deviations import (
+    PERIODS,
+    Course,
+    Monodromy,
+    Slopes,
+    differentiate_along,
+    differentiate_laws,
+    follow_modes,
+    is_followed,
+    step_deviations,
+    watch_course,
+)
+from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.problem.contact_system import ContactSystem
+
+MOST_UNKNOWNS = 1500  # of Hill's matrix: half a second
+# Harmonics of the deviations at least, also where the solution has fewer: at the edge of fewer, Hill's matrix has
+# exponents that are none. Solutions with more are not looked at with less.
+FEWEST = 5
+SAMPLES = 4 * FEWEST + 2  # a period, at least, of the laws' derivatives
+STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
+GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
+BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
+# Periods in which the motion in time that begins on a solution may settle beside it. Its changes from each to the next
+# have then fallen to this share of the first five, are not far above the least, or next to nothing beside the first,
+# small beside the motion, and never rose; it is as near as this, and not so near that stepping may be what moved it
+SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
+STEADY = 1e-3
+# Newton steps from there to a solution of as many harmonics, what they leave of the residual, and how far another
+# solution's forces are at least
+NEWTON_STEPS, SOLVED, ELSEWHERE = 30, 1e-6, 1e-3
+# A guess may be too small: where Hill's matrix has few unknowns, the largest is looked at from this multiplier on
+DOUBTFUL, LITTLE = 0.85, 400
+GUESSES = 3  # at most, by each way of stepping
+TURN = 2  # samples along the motion in time, for which a mass that turns may stick
+NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutral: where a body has slid to
+SURE = 0.01  # imaginary part of a real determinant over its real one, from which on rounding decides its sign
+TINY = np.finfo(float).tiny
+REAL = 1e-3  # imaginary part of a multiplier over its modulus, up to which it counts as real
+AT_ONCE, FASTEST = 1e-6, 100.0  # angular frequency over an exponent that counts as infinite; and none is told faster
+SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
+
+
+def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> complex:
+    """The largest Floquet multiplier beyond the unit circle.
+
+    Args:
+        problem: What was solved, with a closure that does not remember.
+        forces: Its solution's contact forces ``(n_h, m)`` [N].
+        rigid: Its rigid coordinates ``(r,)`` [m].
+        coordinates: Its amplitudes ``(n_h, n)``.
+
+    Returns:
+        The one of a pair with positive imaginary part; 0 where none is seen, where too many rows change status to look,
+        where a law remembers, where redundant pairs share their forces in any way, and at rest: there is no period.
+    """
+    system = problem.system
+    top, rows = system.basis.orders[-1], system.rows.shape[0]
+    if not top:
+        return 0.0
+    if not rows:
+        return find_linear_growth(system)
+    slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
+    if slopes is not None and not slopes.changing.size:
+        slopes = slopes.treat_all_as_changing()
+    if slopes is None or count_harmonics(system, slopes) < min(top, FEWEST):
+        return 0.0
+    try:
+        guesses = guess_exponents(system, forces, rigid, DOUBTFUL if is_small(system, slopes) else GROWTH)
+        found = max((refine(system, slopes, guess) for guess in guesses), key=abs, default=0.0)
+        return found if found and is_borne_out(problem, forces, rigid, coordinates) else 0.0
+    except np.linalg.LinAlgError:
+        return 0.0
+
+
+def list_unfollowed(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> dict[str, list[str]]:
+    """For want of what the largest multiplier is not looked for: law's name -> variables that it sees, or "its past".
+
+    Empty where no law sees any, and where no row changes status over the period, as at rest.
+
+    Args:
+        system, forces, rigid: As in ``find_growth``.
+    """
+    balance = HarmonicBalance(system, float(np.linalg.norm(forces)) or 1.0)
+    derivatives = balance.linearise(balance.pack(forces, rigid)).derivatives
+    if not any(np.any(d.changes) for d in derivatives):
+        return {}
+    owners = {row: type(law).__name__ for law, rows in zip(system.laws, balance.law_rows, strict=True) for row in rows}
+    unfollowed: dict[str, set[str]] = {}
+    for d in derivatives:
+        if not is_followed(d):
+            unfollowed.setdefault(owners[d.rows[0]], set()).add("its past" if d.remembers else d.variable)
+    return {name: sorted(seen) for name, seen in unfollowed.items()}
+
+
+def find_linear_growth(system: ContactSystem) -> complex:
+    """``find_growth`` of a joint without unknown forces, by the exponents of its free vibrations."""
+    omega = system.compliance.omega
+    modes = follow_modes(system, FOLLOWS * system.basis.orders[-1] * omega)
+    mass, damping, one, none = omega**2 * modes.mass, omega * modes.damping, np.eye(len(modes.mass)), 0 * modes.mass
+    rates, states = np.block([[none, one], [-modes.stiffness, -damping]]), np.block([[one, none], [none, mass]])
+    inverses = np.linalg.eigvals(np.linalg.solve(rates - states, states)).astype(complex)
+    exponents = 1 + 1 / inverses[np.abs(inverses) > AT_ONCE]  # over omega; without mass some are infinite
+    fastest = max(exponents, key=lambda z: z.real, default=0.0)
+    found = np.exp(2 * np.pi * complex(min(fastest.real, FASTEST), abs(fastest.imag)))
+    return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+
+
+def is_borne_out(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
+    """Whether deviations grow along the motion in time that begins on a solution, or its series where none is stepped.
+
+    Args:
+        problem, forces, rigid, coordinates: As in ``find_growth``.
+    """
+    try:
+        slopes, periods = differentiate_along(problem, coordinates), PERIODS
+    except (ModelError, ImportError):
+        slopes, periods = differentiate_laws(problem.system, forces, rigid, 2 * STEPS[0]), 1
+    if slopes is None:
+        return True
+    sliding = slopes.slide_through_turns(TURN)
+    return measure_growth(step_deviations(problem.system, sliding, periods).matrix) > BORNE_OUT**periods
+
+
+def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
+    """Whether the motion in time that begins on a solution comes to repeat itself, and is the one that it stands for.
+
+    Nothing then leaves it, whatever truncated series say of pairs that lift off. It begins as far from the motion
+    without truncation as the solution is: what grows by two percent a period has grown fivefold in the end. False where
+    it cannot be stepped, and where what it comes to has another solution of as many harmonics: a branch near by.
+
+    Args:
+        problem, forces, rigid, coordinates: As in ``find_growth``.
+    """
+    try:
+        course = watch_course(problem, coordinates, SETTLING)
+    except (ModelError, ImportError):
+        return False
+    if course is None:
+        return False
+    changes, first, last = course.changes, course.changes[:5].max(), course.changes[-1]
+    fallen = last < FALLEN * first and last < max(ABOVE_LEAST * changes.min(), NOTHING * first)
+    beside = fallen and last < STEADY and changes.max() < RISEN * first and AT_ONE < course.distance < NEAR
+    return bool(beside) and not leads_elsewhere(problem, forces, rigid, course)
+
+
+def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, course: Course) -> bool:
+    """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
+    balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
+    here, begin = balance.pack(forces, rigid), balance.pack(course.forces, rigid)
+    found, _ = balance.take_whole_steps(begin, NEWTON_STEPS, SOLVED, course.motion)
+    # where none is found, nothing is known
+    return found is not None and bool(np.linalg.norm(found - here) > ELSEWHERE * np.linalg.norm(here))
+
+
+def measure_growth(whole: RealArray) -> float:
+    """Modulus of the largest multiplier of a monodromy matrix; infinite where stepping overflowed."""
+    return float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.all(np.isfinite(whole)) else np.inf
+
+
+def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArray, least: float) -> ComplexArray:
+    """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
+
+    A mass that rubs sticks for some samples where it turns, and deviations of its velocity would be lost there, while
+    in truth they jump by a factor near one. So they are stepped a second time, as if it slid on through sticking that
+    is no longer than a period of the highest harmonic.
+
+    Args:
+        system, forces, rigid: As in ``find_growth``.
+        least: Multiplier from which on the largest is given where none is beyond the circle.
+    """
+    for steps in STEPS:
+        slopes = differentiate_laws(system, forces, rigid, 2 * steps)
+        stepped = step_deviations(system, slopes)
+        if measure_growth(stepped.matrix) < TRUSTED:
+            break
+    sliding = slopes.slide_through_turns(1 + slopes.samples // system.basis.orders[-1])
+    found = [stepped] if sliding is slopes else [stepped, step_deviations(system, sliding)]
+    return np.concatenate([read_exponents(each, system.compliance.omega, least) for each in found])
+
+
+def read_exponents(stepped: Monodromy, omega: float, least: float) -> ComplexArray:
+    """Those of ``guess_exponents`` that the matrix of a period has.
+
+    An exponent plus any harmonic's frequency is one as well: of these the one at which the deviation vibrates, whose
+    harmonics are then about the middle of Hill's.
+    """
+    found, states = np.linalg.eig(stepped.matrix)
+    modes = stepped.modes
+    pick = np.flatnonzero((np.abs(found) > least) & (found.imag >= 0) & (np.abs(found - 1.0) > NEUTRAL))
+    pick = pick[np.argsort(-np.abs(found[pick]))]
+    pick = pick[: np.clip(np.count_nonzero(np.abs(found[pick]) > GROWTH), 1, GUESSES)]
+    motion, velocity = states[:modes, pick], states[modes : 2 * modes, pick]
+    exponents = np.log(found[pick].astype(complex)) * omega / (2 * np.pi)
+    rate = np.sum(motion.conj() * velocity, axis=0) / np.maximum(np.sum(np.abs(motion) ** 2, axis=0), TINY)
+    return exponents + 1j * omega * np.round((rate.imag - exponents.imag) / omega)
+
+
+def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:
+    """The largest of the multipliers with exponents near a guess that count; 0 where none does."""
+    exponents = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()
+    found = max(np.exp(2 * np.pi * exponents / system.compliance.omega), key=abs, default=0.0)
+    return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+
+
+def is_small(system: ContactSystem, slopes: Slopes) -> bool:
+    """Whether Hill's matrix costs so little that doubtful guesses are looked at as well."""
+    return (2 * count_harmonics(system, slopes) + 1) * slopes.changing.size <= LITTLE
+
+
+def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
+    """Highest harmonic of the deviations: the solution's or some more, as far as Hill's matrix does not grow large."""
+    return min(max(system.basis.orders[-1], FEWEST), (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
+
+
+def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
+    """Whether an odd number of real Floquet multipliers are above one: Hill's determinant is negative there.
+
+    The Jacobian of the balance tells as much where every force follows from the motion. Mean friction does not: what
+    sets it (``static_friction``) turns the sign where friction is strong enough to wedge, without any motion leaving.
+
+    Args:
+        system: What was solved.
+        forces, rigid: As in ``find_growth``.
+
+    Returns:
+        None where a law remembers, and where rounding decides.
+    """
+    slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
+    if slopes is None:
+        return None
+    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
+    sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
+    return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
+
+
+def tell_where_to(problem: ContactProblem, alternates: bool, multiplier: complex) -> str:
+    """Where motions most often go that leave a solution, and how to see it; words to follow on "leave it"."""
+    turns = abs(multiplier.imag) > REAL * abs(multiplier)
+    kind = "repeats every second period" if alternates else "never repeats" if turns else ""
+    often = f", most often for one that {kind}" if kind else ""
+    stepped = "" if problem.own_kinds else "; integrate(problem, solution, tolerance=0) shows where to"
+    return often + stepped

@@ -1,0 +1,113 @@
+"""From one period to the next: how much a motion still changes, and where its steady state should lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
+
+# A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
+# motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if
+# all that moves moved it (an output that is zero by symmetry), or by what the load alone would move in a step (nothing
+# moves where all sticks).
+_STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
+_SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
+_WINDOW = 6  # periods that the extrapolation looks back on
+
+
+class Watch:
+    """Follows outputs and pair motions from period to period; where there are none, the motion of all masses.
+
+    Attributes:
+        second_change: Relative change of the last period since the one before the one before it.
+    """
+
+    def __init__(self, scheme: TimeScheme):
+        self.names = list(scheme.problem.model.outputs)
+        readers = [scheme.problem.model.outputs[name] @ scheme.expansion for name in self.names]
+        self.readers = np.vstack([*readers, scheme.rows])
+        if not self.readers.size:  # bonds alone, and no output: their forces follow from the whole motion
+            self.readers = np.diag(np.sqrt(np.maximum(scheme.mass, 0.0)))
+        self.history = [np.zeros((0, len(self.names)))]
+        self.earlier: list[RealArray] = []
+        self.second_change = np.inf
+        self.reach = np.linalg.norm(self.readers, axis=1)  # modes have a unit of inertia each
+        self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
+
+    def measure_change(self, period: Period) -> float:
+        """Relative change since the period before, the largest of each output's and of the pair motions' together."""
+        motion = period.positions @ self.readers.T
+        self.history.append(motion[:, : len(self.names)])
+        groups = np.minimum(np.arange(motion.shape[1]), len(self.names))
+        total = lambda values: np.bincount(groups, weights=np.mean(values**2, axis=0))  # noqa: E731
+        modal, weight = period.positions, np.abs(self.readers.T)
+        scale = total(motion - motion.mean(axis=0))
+        for share, size in (
+            (_STILL, total(motion)),
+            (_CANCELLED, total(np.abs(modal - modal.mean(axis=0)) @ weight)),
+            (_ROUNDED, total(np.abs(modal) @ weight)),
+            (_ROUNDED, total(np.sqrt(modal.var(axis=0).sum()) * self.reach[None])),
+            (_ROUNDED, total(self.pushed)),
+        ):
+            scale = np.maximum(scale, share**2 * size)
+        changes = [np.inf, np.inf]
+        for k, before in enumerate(reversed(self.earlier)):
+            change = np.divide(total(motion - before), scale, out=np.zeros_like(scale), where=scale > 0)
+            changes[k] = float(np.sqrt(change.max(initial=0.0)))
+        self.earlier = [*self.earlier, motion][-2:]
+        self.second_change = changes[1]
+        return changes[0]
+
+    @property
+    def transients(self) -> dict[str, RealArray]:
+        """Output name -> its values at all steps of all periods."""
+        values = np.concatenate([part[i > 1 :] for i, part in enumerate(self.history)])  # periods share their ends
+        return {name: values[:, i] for i, name in enumerate(self.names)}
+
+
+def walks_on(period: Period, scheme: TimeScheme) -> bool:
+    """Whether a period ends with the velocities that it began with, but elsewhere: a body moves on with each."""
+    weight = np.sqrt(np.maximum(scheme.mass, 0.0))
+    speed = np.abs(weight * period.velocities).max(initial=0.0)
+    changed = np.abs(weight * (period.velocities[-1] - period.velocities[0])).max(initial=0.0)
+    gone = np.abs(weight * (period.positions[-1] - period.positions[0])).max(initial=0.0)
+    pushed = scheme.dt * np.abs(weight * scheme.velocity_of_load).max(initial=0.0)
+    far = max(_GONE * speed * scheme.steps * scheme.dt, _ROUNDED * pushed)  # where all sticks, both are rounding
+    return bool(changed <= _SAME * speed and gone > far)
+
+
+class Anderson:
+    """Anderson's acceleration of the map from the state at a period's start to the one at its end.
+
+    States are measured by their kinetic energy, positions times ``omega``: the stiffest modes ring from step to step
+    and would drown the rest in an elastic norm.
+
+    Attributes:
+        defect: Distance of the last period's end from its start, relative to the rms oscillation during it.
+        distance: How far the last extrapolation reaches beyond that end, relative to the same: the distance left.
+
+    Source: Walker & Ni (2011), doi:10.1137/10078356X.
+    """
+
+    def __init__(self, scheme: TimeScheme):
+        root = np.sqrt(np.maximum(scheme.mass, 0.0))
+        self._weight = np.concatenate([scheme.problem.omega * root, root])
+        self._ends: list[RealArray] = []
+        self._residuals: list[RealArray] = []
+        self.defect = self.distance = np.nan
+
+    def extrapolate(self, start: RealArray, end: RealArray, period: Period) -> RealArray:
+        """State ``(2 n',)`` from which the next period should start, from this period and the last few."""
+        self._ends = [*self._ends, end][-_WINDOW:]
+        self._residuals = [*self._residuals, self._weight * (end - start)][-_WINDOW:]
+        correction = np.zeros_like(end)
+        if len(self._ends) > 1:
+            change = np.diff(self._residuals, axis=0).T
+            correction = -np.linalg.lstsq(change, self._residuals[-1], rcond=1e-10)[0] @ np.diff(self._ends, axis=0)
+        states = np.hstack([period.positions, period.velocities]) * self._weight
+        oscillation = max(np.sqrt(states.var(axis=0).sum()), np.finfo(float).tiny)
+        self.defect = float(np.linalg.norm(self._residuals[-1]) / oscillation)
+        if len(self._ends) > 1:
+            self.distance = float(np.linalg.norm(self._weight * correction) / oscillation)
+        return end + correction

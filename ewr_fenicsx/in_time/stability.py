@@ -1,0 +1,109 @@
+"""What the signs of Jacobians' determinants tell of a periodic solution: the side of the folds, and instability.
+
+Along a branch the sign changes at every simple fold, where a real Floquet multiplier crosses one, and else only where
+branches cross. High harmonics enter the determinant as a complex number a row, that is by a square: solutions with more
+and fewer of them can be compared. Each rigid coordinate turns it once, as the multiplier of a constraint does.
+
+Seen over two periods, a solution has even harmonics only, and the Jacobian of the odd ones stands by itself. Its
+determinant is positive but where an odd number of real multipliers are below minus one: motions in time then leave the
+solution by alternating from period to period.
+
+Source: Seydel (2010), Practical Bifurcation and Stability Analysis, doi:10.1007/978-1-4419-1740-9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.law_derivatives import Derivative
+from ewr_fenicsx.balance.newton_step import NewtonStep
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.model.compliance import condense
+from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.harmonics import FourierBasis
+
+MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: a second
+SINGULAR = 1e-12  # smallest pivot over the largest, below which rounding decides the sign: redundant pairs
+
+
+def find_side(balance: HarmonicBalance, unknowns: RealArray) -> int:
+    """Side of the folds that a solution is on.
+
+    Args:
+        balance: The balance.
+        unknowns: Its solution, scaled, ``(size,)``.
+
+    Returns:
+        -1: an odd number of real Floquet multipliers are above one, and the solution is unstable, or mean friction
+        wedges (``floquet.grows`` tells which). 1: an even number of them is, mostly none; it may be unstable in other
+        ways. 0: there are too many unknowns to look, or the Jacobian is singular.
+    """
+    if balance.size > MOST_UNKNOWNS:
+        return 0
+    return find_sign(balance.linearise(unknowns).matrix()) * (-1) ** balance.rigid
+
+
+def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool:
+    """Whether an odd number of real Floquet multipliers are below minus one.
+
+    Args:
+        system: What was solved, with a row at least.
+        forces: Its solution's contact forces ``(n_h, m)`` [N].
+        rigid: Its rigid coordinates ``(r,)`` [m].
+
+    Returns:
+        False also where one harmonic alone has too many unknowns to look, where there is none, and where one in between
+        hits an undamped mode exactly.
+    """
+    count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
+    if not count:
+        return False
+    unit = float(np.linalg.norm(forces)) or 1.0
+    try:
+        between = HarmonicBalance(see_between(system, count), unit)
+    except ModelError:
+        return False
+    solved = HarmonicBalance(system, unit)
+    derivatives = solved.linearise(solved.pack(forces, rigid)).derivatives
+    step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
+    return find_sign(step.matrix()) < 0
+
+
+def see_between(system: ContactSystem, count: int) -> ContactSystem:
+    """The system over two periods at the ``count`` lowest harmonics in between its own: the odd ones.
+
+    Raises:
+        ModelError: One of these hits an undamped mode exactly.
+    """
+    orders, omega = tuple(range(1, 2 * count, 2)), system.compliance.omega / 2
+    basis = FourierBasis(orders, 2 * system.basis.samples)
+    compliance = condense(system.model, system.rows, {}, omega, orders)
+    return replace(system, load={}, prescribed={}, basis=basis, compliance=compliance)
+
+
+def repeat(derivative: Derivative) -> Derivative:
+    """A derivative over two periods that are alike; what reaches back to before the first counts from the second."""
+    values, since = np.tile(derivative.values, (2, 1)), derivative.since
+    kept = None if derivative.kept is None else np.tile(derivative.kept, (2, 1))
+    if since is not None:
+        count = len(since)
+        before = since > np.arange(count)[:, None]
+        later = np.where(since < 0, since, since + count)
+        since = np.vstack([np.where(before, later, since), np.where(before, since, later)])
+    return replace(derivative, values=values, since=since, kept=kept)
+
+
+def find_sign(matrix: RealArray) -> int:
+    """Sign of a determinant; 0 where rounding decides it, 1 of an empty matrix."""
+    if matrix.size == 0:
+        return 1
+    lu, rows, _ = scipy.linalg.lapack.dgetrf(matrix)
+    pivots = np.diagonal(lu)
+    if np.abs(pivots).min() <= SINGULAR * np.abs(pivots).max():
+        return 0
+    return (-1) ** int(np.count_nonzero(pivots < 0) + np.count_nonzero(rows != np.arange(rows.size)))

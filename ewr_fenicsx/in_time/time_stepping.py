@@ -1,0 +1,390 @@
+"""One step in time of a contact system, and the compiled loop over a period.
+
+Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - theta) x_k + theta x_(k+1)``::
+
+    M (v_(k+1) - v_k) = dt (f_theta - D v_theta - K x_theta) + B^T p,      x_(k+1) = x_k + dt v_theta
+    0 <= p_N  _|_  g_k + dt v_N >= 0                                       v at the end of the step: Stewart & Trinkle
+    |p_T| <= mu p_N, slip v_T opposes p_T                                  the true cone; in 3-D both are in a plane
+
+With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B^T p``, and the contact conditions see
+only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
+M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size rows
+x coordinates beside the contact solve. With 1/2, modes without mass, or far too fast for the step, would ring from step
+to step for ever: they have a ``theta`` of their own, and follow impulses extrapolated to it, from the last two steps:
+``p_k + (theta_own - theta) (p_k - p_(k-1))``. The laws are written again here, apart from ``contact_laws``: this is the
+second formulation, by which the first is judged.
+
+Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Stewart & Trinkle (1996),
+doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from numbers import Real
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
+from ewr_fenicsx.laws.law_kinds import spread_over_pairs
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.problem.harmonics import sample_amplitudes
+
+UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
+_KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
+# Share of a mode's mass in its inertia of a step from which down the step does not resolve it at all; its least theta.
+_TOO_FAST, _FOLLOWING = 1e-3, 0.6
+_DIAGONAL = 1e-9  # modal damping counts as diagonal up to this share of the geometric mean of the diagonal entries
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Reduced coordinates ``(n,)`` and their velocities ``(n,)`` [per s] at ``tau = 0``."""
+
+    position: RealArray
+    velocity: RealArray
+
+
+class Carried(NamedTuple):
+    """What a step takes over from the one before, row by row ``(m,)``: the impulse [N s], and what is late [m/s].
+
+    Late is the velocity by which modes with a ``theta`` of their own put a row ahead of its end velocity.
+    """
+
+    impulse: RealArray
+    late: RealArray
+
+
+@dataclass(frozen=True, eq=False)
+class Period:
+    """One period as stepped, in modal coordinates.
+
+    Attributes:
+        positions, velocities: ``(steps + 1, n')`` at the ends of the steps.
+        impulses: ``(steps, m)`` of the contact rows [N s].
+        sweeps: Gauss-Seidel sweeps taken.
+        unsolved: Steps whose contact solve missed its tolerance.
+        carried: What the next step takes over.
+    """
+
+    positions: RealArray
+    velocities: RealArray
+    impulses: RealArray
+    sweeps: int
+    unsolved: int
+    carried: Carried
+
+
+class TimeScheme:
+    """The matrices of one step of a contact problem.
+
+    Args:
+        problem: The problem; its frequency sets the period.
+        steps: Steps a period.
+        theta: 1/2 conserves energy, up to 1 damps what the step does not resolve.
+
+    Attributes:
+        thetas: ``(n',)`` that of each mode: more for those without mass, or far too fast for the step.
+        push: ``(n', m)`` what a unit of each impulse does to the velocities in its step.
+        echo, echoes: ``(k, m)`` what it takes back in the next step, and from which ``k`` modes.
+
+    Raises:
+        ModelError: No period, no whole number of steps, too few for the problem's harmonics, so long that inertia is
+            lost beside stiffness, or ``theta`` outside [1/2, 1].
+    """
+
+    def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
+        if problem.frequency <= 0:
+            raise ModelError(f"frequency = {problem.frequency} Hz; a time step needs a period: give a positive one")
+        if not is_whole(steps, 1):
+            raise ModelError(f"steps = {steps!r}; give a whole number of steps a period, at least one")
+        if not (isinstance(theta, Real) and 0.5 <= theta <= 1):
+            raise ModelError(f"theta = {theta!r}; from 1/2 (conserves energy) to 1 (damps); less than 1/2 is unstable")
+        if steps <= 2 * (highest := max(*problem.basis.orders, 0, *problem.driven)):
+            raise ModelError(f"steps = {steps} cannot resolve harmonic {highest}; give at least {2 * highest + 1}")
+        self.problem, self.steps, self.theta = problem, int(steps), float(theta)
+        self.dt = 1 / (problem.frequency * steps)
+        self.system = problem.system
+        model = self.system.model
+        reach = (self.theta * self.dt) ** 2
+        inertia = model.mass + reach * model.stiffness
+        try:  # a singular mass does no harm in this pencil
+            _, modes = scipy.linalg.eigh(reach * model.stiffness, inertia)
+        except np.linalg.LinAlgError:  # of bodies that float, rounding leaves less than nothing
+            raise ModelError(
+                f"frequency = {problem.frequency:g} Hz: with {steps} steps a period, inertia is lost in the rounding "
+                "of stiffness; take more steps or a higher frequency"
+            ) from None
+        self.expansion = self.system.expansion @ modes
+        self._contraction = modes.T @ inertia @ self.system.expansion.T
+        self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
+        self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
+        self.thetas = np.where(self.mass > _TOO_FAST, self.theta, max(self.theta, _FOLLOWING))
+        self.damping = modes.T @ model.damping @ modes
+        self.rows = np.ascontiguousarray(self.system.rows @ modes)
+        self.modes = modes
+        self._compose_step()
+        self._compose_laws()
+
+    def _compose_step(self) -> None:
+        theta, dt, n = self.thetas, self.dt, self.mass.size
+        own = np.diag(self.damping)
+        rounding = _DIAGONAL * np.sqrt(np.abs(np.outer(own, own))) + 1e-12 * np.abs(own).max(initial=0.0)
+        self.is_diagonal = bool(np.all(np.abs(self.damping - np.diag(own)) <= rounding))
+        spring = theta * dt**2 * self.stiffness
+        if self.is_diagonal:
+            self._inverse = inverse = 1 / (self.mass + theta * dt * own + theta * spring)
+            self.keep, self.pull = 1 - inverse * (dt * own + spring), -dt * inverse * self.stiffness
+            self.keep_dense = self.pull_dense = np.zeros((0, 0))
+        else:
+            self._factor = scipy.linalg.lu_factor(np.diag(self.mass + theta * spring) + dt * self.damping * theta)
+            self.keep = self.pull = np.zeros(0)
+            self.keep_dense = np.ascontiguousarray(np.eye(n) - self._solve(dt * self.damping + np.diag(spring)))
+            self.pull_dense = np.ascontiguousarray(-dt * self._solve(np.diag(self.stiffness)))
+        ahead = (theta - self.theta)[:, None] * self.rows.T
+        self.push = np.ascontiguousarray(self._solve(self.rows.T + ahead))
+        echo = self._solve(ahead)
+        self.echoes = np.flatnonzero(np.any(echo != 0, axis=1))
+        self.echo = np.ascontiguousarray(echo[self.echoes])
+        self.delassus_columns = np.ascontiguousarray((self.rows @ self.push).T)  # row i: what impulse i does to all
+
+    def _solve(self, forces: RealArray) -> RealArray:
+        """Modal velocities ``(n', k)`` that a step's ``k`` impulses add at its end."""
+        return self._inverse[:, None] * forces if self.is_diagonal else scipy.linalg.lu_solve(self._factor, forces)
+
+    def _compose_laws(self) -> None:
+        problem, system = self.problem, self.system
+        m, total = system.rows.shape[0], problem.model.pairs
+        self.kind, self.partner, self.twin = np.full(m, -1), np.full(m, -1), np.full(m, -1)
+        self.friction, self.initial_gap = np.zeros(m), np.zeros(m)
+        self.pair_gap = np.zeros(total)
+        self.given_limit = np.zeros((self.steps, m))
+        order = []
+        for pairs, laws in problem.groups:
+            for side, known in _KNOWN.items():
+                if (name := getattr(laws, side)) not in known:
+                    raise ModelError(f'{side} = "{name}": time integration knows only {", ".join(known)}; use solve')
+            normal, tangential = system.row_of("normal", pairs), system.row_of("tangential", pairs)
+            if np.all(normal >= 0):
+                self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
+                self.pair_gap[pairs] = self.initial_gap[normal] = problem.clearance[pairs]
+            if laws.tangential == "coulomb":
+                self.kind[tangential] = FRICTION
+                self.partner[tangential] = normal
+                self.twin[tangential] = second = system.row_of("second_tangential", pairs)
+                self.kind[second[second >= 0]] = FRICTION
+                self.friction[tangential] = spread_over_pairs(laws.friction, pairs, total)
+                if laws.normal == "prescribed":
+                    force = np.maximum(0.0, self.sample(system.prescribed, pairs))
+                    self.given_limit[:, tangential] = self.dt * self.friction[tangential] * force
+            order += [row for both in zip(normal, tangential, strict=True) for row in both if row >= 0]
+        self.order = np.array(order, dtype=np.int64)
+
+    def sample(self, amplitudes: Mapping[int, ComplexArray], columns: np.ndarray) -> RealArray:
+        """Signals, harmonic -> amplitudes, at ``theta`` within each step: the mean of its ends, ``(steps, K)``."""
+        ends = sample_amplitudes(amplitudes, columns, self.steps)
+        return (1 - self.theta) * ends + self.theta * np.roll(ends, -1, axis=0)
+
+    @cached_property
+    def load(self) -> RealArray:
+        """Modal load at each mode's ``theta`` within each step, ``(steps, n')``."""
+        ends = sample_amplitudes(self.system.load, np.arange(self.system.model.size), self.steps) @ self.modes
+        return self.blend(ends, np.roll(ends, -1, axis=0))
+
+    @cached_property
+    def velocity_of_load(self) -> RealArray:
+        """Velocity that the load alone adds in each step, ``(steps, n')``."""
+        return np.ascontiguousarray(self.dt * self._solve(self.load.T).T)
+
+    def blend(self, begins: RealArray, ends: RealArray) -> RealArray:
+        """Modal values ``(steps, n')`` at each mode's ``theta`` between those at the begin and at the end of steps."""
+        return (1 - self.thetas) * begins + self.thetas * ends
+
+    def begin(self, state: State) -> tuple[RealArray, RealArray, Carried]:
+        """Where a motion begins: modal coordinates and velocities ``(n',)``, but for bonds', and what is carried.
+
+        The impulses of the step before are those under which the modes with a ``theta`` of their own are in balance.
+        """
+        position, velocity = self._contraction @ state.position, self._contraction @ state.velocity
+        load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
+        force = self.stiffness * position + self.damping @ velocity - load
+        fast = self.thetas != self.theta
+        impulse = self.dt * np.linalg.lstsq(self.rows[:, fast].T, force[fast], rcond=1e-12)[0]
+        return position, velocity, Carried(impulse, np.zeros_like(impulse))
+
+    def contact_amplitudes(self, period: Period, orders: Sequence[int]) -> tuple[ComplexArray, ComplexArray]:
+        """One-sided complex amplitudes of the contact rows' forces [N] and motions [m] over a period, ``(n_h, m)``."""
+        late = 2 * np.pi * self.theta / self.steps  # an impulse belongs to the middle of its step
+        force = to_amplitudes(period.impulses / self.dt, orders) * np.exp(-1j * late * np.array(orders))[:, None]
+        return force, to_amplitudes(period.positions[:-1] @ self.rows.T, orders)
+
+    def run_period(
+        self, position: RealArray, velocity: RealArray, carried: Carried, tolerance: float, sweeps: int
+    ) -> Period:
+        """Step once through the period.
+
+        Args:
+            position, velocity: ``(n',)`` modal coordinates at ``tau = 0``.
+            carried: From the step before.
+            tolerance: Largest change of an impulse in the last sweep, relative to the period's largest impulse so far.
+            sweeps: Largest number of sweeps a step.
+        """
+        n, m = self.mass.size, self.rows.shape[0]
+        positions, velocities = np.empty((self.steps + 1, n)), np.empty((self.steps + 1, n))
+        impulses = np.empty((self.steps, m))
+        positions[0], velocities[0] = position, velocity
+        ends = Carried(*(np.array(given) for given in carried))
+        taken, unsolved = compile_loop()(
+            self.theta, self.thetas, self.dt,
+            self.keep, self.pull, self.keep_dense, self.pull_dense, self.velocity_of_load,
+            self.rows, self.push, self.echo, self.echoes, self.delassus_columns,
+            self.order, self.kind, self.partner, self.twin, self.friction, self.initial_gap, self.given_limit,
+            *ends, tolerance, sweeps, positions, velocities, impulses,
+        )  # fmt: skip
+        return Period(positions, velocities, impulses, taken, unsolved, ends)
+
+
+def step_through_period(
+    theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, echo, echoes, delassus_columns,
+    order, kind, partner, twin, friction, initial_gap, given_limit, p, late, tolerance, most_sweeps,
+    positions, velocities, impulses,
+):  # fmt: skip
+    """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
+
+    ``p`` and ``late`` are what is carried, and what the next period takes over in the end.
+
+    ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
+    with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
+
+    A gap counts what is late, and what sticks makes up for it in the next step: else it would creep, and damp what it
+    holds.
+    """
+    steps, m = impulses.shape
+    n = positions.shape[1]
+    dense = keep_dense.shape[0] > 0
+    fast = np.flatnonzero(thetas != theta)
+    x, v = positions[0].copy(), velocities[0].copy()
+    free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
+    echoed = np.zeros(echoes.size)
+    u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
+    if m > 0:
+        np.dot(rows, v, u)
+        np.dot(rows, x, gap)
+        gap += initial_gap
+    largest = np.max(np.abs(p)) if m > 0 else 0.0
+    taken, unsolved = 0, 0
+    for k in range(steps):
+        if dense:
+            np.dot(keep_dense, v, free)
+            np.dot(pull_dense, x, other)
+            for i in range(n):
+                free[i] += other[i] + velocity_of_load[k, i]
+        else:
+            for i in range(n):
+                free[i] = keep[i] * v[i] + pull[i] * x[i] + velocity_of_load[k, i]
+        if m > 0:
+            np.dot(echo, p, echoed)
+            for i in range(echoes.size):
+                free[echoes[i]] -= echoed[i]
+            if k > 1:  # the contact forces are mostly smooth: a line through the last two saves a quarter of the sweeps
+                p[:] = 2.0 * impulses[k - 1] - impulses[k - 2]
+            np.dot(rows, free, u_end)
+            for i in range(m):
+                if p[i] != 0.0:
+                    for j in range(m):
+                        u_end[j] += delassus_columns[i, j] * p[i]
+            solved = False
+            for _ in range(most_sweeps):
+                taken += 1
+                change = 0.0
+                for i in order:
+                    t = twin[i]
+                    new_t = 0.0
+                    if kind[i] == FRICTION:
+                        limit = friction[i] * max(0.0, p[partner[i]]) if partner[i] >= 0 else given_limit[k, i]
+                        if t < 0:
+                            new = min(limit, max(-limit, p[i] - (u_end[i] + late[i]) / delassus_columns[i, i]))
+                        else:
+                            ii, it = delassus_columns[i, i], delassus_columns[t, i]
+                            ti, tt = delassus_columns[i, t], delassus_columns[t, t]
+                            determinant = ii * tt - it * ti
+                            sticks = determinant > 1e-12 * ii * tt
+                            if sticks:
+                                new = p[i] - (tt * (u_end[i] + late[i]) - it * (u_end[t] + late[t])) / determinant
+                                new_t = p[t] - (ii * (u_end[t] + late[t]) - ti * (u_end[i] + late[i])) / determinant
+                                sticks = np.hypot(new, new_t) <= limit
+                            if not sticks:
+                                most = 0.5 * (ii + tt) + np.hypot(0.5 * (ii - tt), 0.5 * (it + ti))
+                                new, new_t = p[i] - (u_end[i] + late[i]) / most, p[t] - (u_end[t] + late[t]) / most
+                                size = np.hypot(new, new_t)
+                                if size > limit:
+                                    new, new_t = new * limit / size, new_t * limit / size
+                    else:
+                        new = p[i] - (u_end[i] + gap[i] / dt) / delassus_columns[i, i]
+                        if kind[i] == UNILATERAL:
+                            new = max(0.0, new)
+                    for row, value in ((i, new), (t, new_t)):
+                        step = value - p[row] if row >= 0 else 0.0
+                        if step != 0.0:
+                            p[row] = value
+                            for j in range(m):
+                                u_end[j] += delassus_columns[row, j] * step
+                            change = max(change, abs(step))
+                            largest = max(largest, abs(value))
+                if change <= tolerance * largest:
+                    solved = True
+                    break
+            if not solved:
+                unsolved += 1
+            np.dot(push, p, push_of_p)
+            for i in range(m):
+                gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
+                u[i] = u_end[i]
+                impulses[k, i] = p[i]
+                late[i] = 0.0
+            for j in fast:
+                more = (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
+                for i in range(m):
+                    late[i] += rows[i, j] * more
+            for i in range(m):
+                gap[i] += dt * late[i]
+        for i in range(n):
+            end = free[i] + push_of_p[i]
+            x[i] += dt * (thetas[i] * end + (1 - thetas[i]) * v[i])
+            v[i] = end
+            positions[k + 1, i] = x[i]
+            velocities[k + 1, i] = v[i]
+    return taken, unsolved
+
+
+def to_amplitudes(values: RealArray, orders: Sequence[int]) -> ComplexArray:
+    """One-sided complex amplitudes ``(n_h, m)`` of values over a period at equal intervals, ``(steps, m)``."""
+    kept = np.array(orders)
+    spectrum = np.fft.fft(values, axis=0) / len(values)
+    return np.where(kept == 0, 1.0, 2.0)[:, None] * spectrum[kept % len(values)]
+
+
+@cache
+def compile_loop():
+    """``step_through_period`` as machine code: a few seconds the first time on a machine, then read from numba's cache.
+
+    Raises:
+        ImportError: numba is missing.
+    """
+    try:
+        import numba
+    except ImportError as missing:
+        raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
+    vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
+    arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, index, matrix, *[index] * 4, vector, vector, matrix]
+    arguments += [vector, vector, "f8", "i8"]
+    signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
+    try:
+        return numba.njit(signature, cache=True)(step_through_period)
+    except RuntimeError:  # neither the package nor the home directory can be written: nowhere to keep the cache
+        return numba.njit(signature)(step_through_period)

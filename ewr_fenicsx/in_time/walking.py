@@ -1,0 +1,130 @@
+"""Bodies that hang on friction alone and walk: a little further every cycle, so that no motion is periodic.
+
+Where pairs stick throughout, friction says nothing of the mean force that each of them carries: springs decide
+(``static_displacement_row``), so weak that they take next to nothing from the law. Where the pairs slip and friction
+cannot carry the mean load, the springs alone would hold the body, drawn out to no end.
+
+What the springs carry in place of friction passes through zero as harmonics are added, and may be small by chance. How
+far a body goes is therefore looked at in time, a few periods from the solution.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
+from ewr_fenicsx.laws.law_kinds import choose_friction_weight
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+
+NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
+HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
+SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
+# Periods in time after which a body still goes on that walks, and those after half of which it went no faster by much
+WATCHED, NO_FASTER = 12, 1.5
+NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
+UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
+WALKS = (
+    "a body that hangs on friction walks: while its pairs slip, friction does not carry the mean load, and no motion "
+    "is periodic; add a support or friction, or take from the load"
+)
+
+
+class Walk(NamedTuple):
+    """How a body that hangs on friction moves on; its way is right to the order.
+
+    ``share``: of the largest friction force, that friction leaves to springs; 0 where no body hangs on friction, 1
+    where the way was seen in time, whatever springs carry.
+    ``way``: that it goes in a cycle [m]. ``sliding``: the longest way that its pairs slide to and fro in one [m].
+    """
+
+    share: float
+    way: float
+    sliding: float
+
+    @property
+    def slow(self) -> bool:
+        """Whether it walks so little that the motion is nearly periodic, and so much that it matters."""
+        return self.share > HELD and self.way > SLOW * self.sliding
+
+    def __str__(self) -> str:
+        return (
+            f"a body that hangs on friction may walk slowly, by the order of {self.way:.0e} m a cycle, where its pairs "
+            f"slide {self.sliding:.0e} m: slip and wear of single pairs may be off by as much, and where the body is "
+            "on average means nothing; see what more harmonics change, and whether it moves on in integrate(problem)"
+        )
+
+
+def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
+    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
+    left, largest = _leave_over(balance, unknowns)
+    return bool(left.max() > NOTICED * largest)
+
+
+def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray) -> Walk | None:
+    """How a body that hangs on friction goes on in time, some periods after it begins on a solution.
+
+    Args:
+        problem: What was solved.
+        balance: Its balance.
+        coordinates: The solution's amplitudes ``(n_h, n)``.
+
+    Returns:
+        None where its motion cannot be stepped, or has not settled to a walk or none.
+    """
+    rubs, ways = balance.static_displacement_row > 0, []
+    try:
+        for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), WATCHED):
+            slip = period.positions @ scheme.rows[rubs].T
+            ways.append(float(np.abs(slip[-1] - slip[0]).max()))
+    except (ModelError, ImportError):
+        return None
+    if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1]:
+        return None
+    way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
+    return Walk(1.0, way, float(np.abs(np.diff(slip, axis=0)).sum(axis=0).max()))
+
+
+def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
+    """How a body that hangs on friction moves on, at a solution ``(size,)`` of the balance.
+
+    What the mean equation of a law leaves over, the body's moving on would add to friction's mean: while a pair sticks,
+    a velocity over the weight of its dashpot. Where springs close the truncation the default weight stands in, and
+    tells the order of the walk.
+    """
+    left, largest = _leave_over(balance, unknowns)
+    if not np.any(left):
+        return Walk(0.0, 0.0, 0.0)
+    held, omega = left > 0, balance.compliance.omega or 1.0
+    forces, rigid = balance.unpack(unknowns)
+    motion = balance.compliance.motion(forces, rigid)
+    weight, sticks = choose_friction_weight(omega, balance.system.flexibility), np.ones(balance.rows)
+    seen = balance.sample(forces, motion)
+    for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
+        if np.any(held[rows]):
+            weight[rows] = getattr(law, "rho", weight[rows])
+            sticks[rows] = 1 - np.mean(law.fields(at).get("slipping", np.zeros((1, rows.size))), axis=0)
+    share_of_stick = max(left @ sticks / left.sum(), 1 / balance.basis.samples)
+    period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)
+    way, slid = period * weight * left / share_of_stick, period * np.mean(np.abs(speed), axis=0)
+    return Walk(float(left.max() / largest), float(way.max()), float(slid[balance.static_displacement_row > 0].max()))
+
+
+def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArray, float]:
+    """Mean force ``(m,)`` that friction leaves to springs, zero where it is the solver's, and the largest one [N]."""
+    held, springs = balance.static_displacement_row > 0, balance.static_displacement_row.copy()
+    if not balance.hangs_on_friction:
+        return np.zeros(balance.rows), 1.0
+    for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
+        # stronger springs than the law's are but for the start of a run
+        springs[rows] = np.where(balance.held[rows], law.static_displacement_row, springs[rows])
+    forces, rigid = balance.unpack(unknowns)
+    drawn = balance.compliance.motion(forces[:1], rigid)[0].real
+    left = np.abs(balance.static_force_row * forces[0].real + springs * drawn) * held
+    unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
+    return np.where(left > unsolved, left, 0.0), float(np.abs(balance.basis.synthesise(forces[:, held])).max()) or 1.0

@@ -1,0 +1,59 @@
+"""Coulomb's cone: the limit of dry friction, and the nearest force within it.
+
+Source: Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.laws.law_kinds import Law
+
+
+class FrictionLaw(Law):
+    """Dry friction, whatever closes its truncation; along one line, unless a law says otherwise.
+
+    Attributes:
+        friction: ``(K,)`` coefficients of friction ``mu``.
+    """
+
+    friction: RealArray
+    opposes = "velocity"
+
+    @property
+    def static_target(self) -> RealArray | None:
+        """Where a spring alone decides the mean force, the place to which it holds the pair: that without loads."""
+        held = np.asarray(self.static_displacement_row) > 0
+        return np.zeros(self.pairs.size) if np.all(held & (np.asarray(self.static_force_row) == 0)) else None
+
+    def limit(self, force: Mapping[str, RealArray]) -> RealArray:
+        """``mu max(0, lam_N)`` under forces direction -> ``(n_t, K)`` [N]."""
+        return self.friction * np.maximum(0.0, force["normal"])
+
+    def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
+        return project_on_cone(trial["tangential"], self.limit(trial))
+
+
+def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:
+    """Nearest friction force within the Coulomb limit, sample by sample.
+
+    Args:
+        force: Trial friction force, ``(n_t, K)`` [N].
+        limit: ``mu max(0, lam_N)``, ``(n_t, K)`` [N].
+
+    Returns:
+        Admissible friction force, ``(n_t, K)`` [N].
+
+    Raises:
+        ModelError: A limit is negative or NaN; names the first sample and pair.
+    """
+    if not np.all(limit >= 0):
+        sample, pair = np.argwhere(~(limit >= 0))[0]
+        raise ModelError(
+            f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative"
+        )
+    return np.clip(force, -limit, limit)

@@ -1,0 +1,1 @@
+"""Result folders, fields for ParaView, tables and pictures."""

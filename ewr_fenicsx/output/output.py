@@ -1,0 +1,333 @@
+"""Result folders: fields for ParaView, the reduced model, a table of the pairs, and how all of it came about.
+
+Fields are XDMF time series over one period, one field a file, at the nodes of the mesh, which ParaView animates.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import platform
+import resource
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import import_module
+from pathlib import Path
+
+import dolfinx
+import h5py
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.output import mesh_plots, plots
+from ewr_fenicsx.output.gathering import node_interpolation
+from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
+from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
+from ewr_fenicsx.solution.indicators import measure_sliding
+from ewr_fenicsx.solution.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.chain import JIT, Chain, add_times
+from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.whole_files import write_table
+
+STEPS = 32  # instants of the period in the field files
+SAMPLES = 1024  # samples of the period behind the table of pairs
+AWAY_FROM_CONTACT = -1.0  # contact_state of nodes that belong to no pair
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "petsc4py",
+    "slepc4py",
+    "mpi4py",
+    "dolfinx",
+    "basix",
+    "ufl",
+    "gmsh",
+    "h5py",
+    "pydantic",
+    "matplotlib",
+)
+
+
+def write_results(
+    folder: Path,
+    chain: Chain,
+    solution: PeriodicSolution,
+    *,
+    overwrite: bool = False,
+    seconds: Mapping[str, float] | None = None,
+    write_more: Callable[[Path], None] | None = None,
+    facts: Mapping[str, object] | None = None,
+) -> tuple[Path, ...]:
+    """Writes everything that there is to say of a solution.
+
+    Args:
+        folder: Where to; it must not exist, unless ``overwrite``.
+        chain: The scene and what was built of it.
+        solution: Its periodic solution.
+        overwrite: Whether an earlier result folder may be replaced.
+        seconds: Time of the stages after the chain; None: that of the one solve.
+        write_more: Writes further files into the folder it is given; called on every rank.
+        facts: Further entries of the summary, ready for JSON.
+
+    Returns:
+        The files written, in ``folder``. The same on every rank.
+
+    Raises:
+        OutputError: The folder is taken, or cannot be written.
+    """
+    comm, start = chain.mesh.domain.comm, time.perf_counter()
+    compiled = _compat.measure_compilation()
+    with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
+        write_fields(draft, chain, solution)
+        mesh_plots.draw_mesh(draft / "mesh.png", chain)
+        mesh_plots.draw_mode(draft / "full_stick_mode.png", chain)
+        if write_more:
+            write_more(draft)
+        memory = comm.gather(measure_memory(), root=0)
+        if comm.rank == 0:
+            plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
+            plots.draw_contact_sets(draft / "contact_sets.png", chain.interface, solution)
+            chain.reduction.model.save(draft / "reduced_model.h5")
+            write_pairs(draft / "pairs.csv", chain.interface, solution)
+            files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
+            summary = summarise(chain, solution) | dict(facts or {}) | {"peak_memory_MB": memory, "files": files}
+            compiled = _compat.measure_compilation() - compiled
+            own = {JIT: compiled, "write": time.perf_counter() - start - compiled}
+            summary["seconds"] = add_times(chain.seconds, seconds or {"solve": solution.seconds}, own)
+            (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return tuple(folder / name for name in do_with_files(lambda: read_summary(folder)["files"], comm))
+
+
+def list_files(files: Sequence[Path]) -> str:
+    """Files and pictures of a run, for people; an HDF5 file that belongs to an XDMF file goes without saying."""
+    companions = {path.with_suffix(".h5") for path in files if path.suffix == ".xdmf"}
+    pictures = [path for path in files if path.suffix == ".png"]
+    others = [path for path in files if path.suffix != ".png" and path not in companions]
+    return "\n".join(["files:", *(f"  {path}" for path in others), "pictures:", *(f"  {path}" for path in pictures)])
+
+
+def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None:
+    """Writes XDMF time series over one period, one field a file, and the mesh tags; collective.
+
+    Instants are equidistant; the end of the period, its beginning again, is left out. At rest there is one.
+
+    Args:
+        folder: Where to.
+        chain: Mesh, interface and reduction basis.
+        solution: On the reduced model of ``chain``.
+    """
+    domain, interface = chain.mesh.domain, chain.interface
+    steps = STEPS if np.any(solution.coordinates[np.array(solution.orders) > 0]) else 1
+    times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
+    phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
+    coordinates = (phase @ solution.coordinates).real
+    to_nodes = node_interpolation(chain.structure.space, (2,))
+    frames = (to_nodes(chain.reduction.expand(x)) for x in coordinates)
+    write_series(folder / "displacement.xdmf", domain, times, frames)
+    for name, values in contact_fields(interface, solution, steps).items():
+        spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)
+        write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
+        if name == "contact_state":
+            domain.comm.barrier()
+            do_with_files(lambda: _round_series(folder / "contact_state.h5"), domain.comm)
+    with _open_xdmf(folder / "mesh_tags.xdmf", domain) as file:
+        for name, tags in (("bodies", chain.mesh.cell_tags), ("boundaries", chain.mesh.facet_tags)):
+            tags.name = name
+            domain.topology.create_connectivity(tags.dim, domain.topology.dim)
+            _compat.write_meshtags(file, tags, domain)
+
+
+def contact_fields(interface: Interface, solution: PeriodicSolution, samples: int) -> dict[str, RealArray]:
+    """What happens at the pairs, as far as the laws know of it: name -> ``(samples, K_c)``.
+
+    Pressure and traction [Pa] are the truncated forces that balance the loads over the tributary area;
+    ``friction_traction`` acts on body A along the pair's tangent, ``second_...`` along its second one in 3-D. Gap and
+    slip in m.
+    ``contact_state``: 0 open, 1 stick, 2 slip.
+    """
+    fields = {}
+    for name, history, divisor in (
+        ("contact_pressure", "normal_force", interface.area),
+        ("friction_traction", "friction_force", interface.area),
+        ("gap", "gap", 1.0),
+        ("slip", "slip", 1.0),
+        (SECOND + "friction_traction", SECOND + "friction_force", interface.area),
+        (SECOND + "slip", SECOND + "slip", 1.0),
+    ):
+        if history in list_histories(solution):
+            fields[name] = solution.history(history, samples) / divisor
+    for name in list_histories(solution):
+        if name not in HISTORIES + SECOND_HISTORIES:  # a law of the user's own
+            fields[name] = solution.history(name, samples)
+    if solution.problem.wear is not None:
+        fields["worn_depth"] = np.tile(solution.problem.wear, (samples, 1))
+    if changes_state(solution):
+        fields["contact_state"] = classify_contact(solution, samples).astype(float)
+    return fields
+
+
+def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
+    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides."""
+    space, interface = chain.structure.space, chain.interface
+    component, parents = space.sub(0).collapse()
+    pairs = find_pairs(space, interface.nodes_a, interface.nodes_b)[np.asarray(parents) // space.dofmap.bs]
+    field = dolfinx.fem.Function(component)
+    to_nodes = node_interpolation(component)
+
+    def spread(values: RealArray) -> dolfinx.fem.Function:
+        field.x.array[:] = np.where(pairs >= 0, values[pairs], elsewhere)
+        return to_nodes(field)
+
+    return spread
+
+
+def find_pairs(space, *sides: np.ndarray) -> np.ndarray:
+    """Pair of every node that this rank holds, ghosts included, ``(nodes,)``; -1 where it is on none of the sides.
+
+    Args:
+        space: Displacement space.
+        sides: Global node numbers of the pairs on one body, ``(K_c,)``.
+    """
+    index_map = space.dofmap.index_map
+    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    pair_of_node = {int(node): k for nodes in sides for k, node in enumerate(nodes)}
+    return np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])
+
+
+def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
+    """Writes one row a pair: where it is, and its figures over the period."""
+    histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
+    state = classify_contact(solution, SAMPLES) if changes_state(solution) else None
+    columns = {
+        "pair": np.arange(len(interface.area)),
+        "flank": np.array(interface.flanks)[interface.flank_of_pair],
+        "x [m]": interface.position[:, 0],
+        "y [m]": interface.position[:, 1],
+        "normal_x": interface.normal[:, 0],
+        "normal_y": interface.normal[:, 1],
+        "area [m^2]": interface.area,
+    }
+    units = {"normal_force": "N", "friction_force": "N", "gap": "m", "slip": "m"}
+    for name, unit in (units | {SECOND + "friction_force": "N", SECOND + "slip": "m"}).items():
+        if name in histories:
+            for figure, reduce in (("mean", np.mean), ("min", np.min), ("max", np.max)):
+                columns[f"{name}_{figure} [{unit}]"] = reduce(histories[name], axis=0)
+    if "slip_velocity" in histories:
+        period = 1 / (solution.problem.frequency or 1.0)
+        columns["sliding_distance [m/cycle]"] = measure_sliding(solution.sliding_speed(SAMPLES), period)
+    if solution.problem.wear is not None:
+        columns["worn_depth [m]"] = solution.problem.wear
+    for name in histories:
+        if name not in HISTORIES + SECOND_HISTORIES:  # a law of the user's own, in its own unit
+            columns |= {f"{name}_min": histories[name].min(axis=0), f"{name}_max": histories[name].max(axis=0)}
+    for code, name in enumerate(("open", "stick", "slip") if changes_state(solution) else ()):
+        columns[f"{name}_share"] = (state == code).mean(axis=0)
+    write_table(path, columns)
+
+
+def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
+    """All figures of a run and where they come from, ready for JSON."""
+    reduction, model = chain.reduction, chain.reduction.model
+    index_map = chain.structure.space.dofmap.index_map
+    return {
+        "scene": chain.scene.model_dump(mode="json", by_alias=True),
+        "solution": {
+            "converged": solution.converged,
+            "reason": solution.reason,
+            "iterations": solution.iterations,
+            "fallbacks": list(solution.fallbacks),
+            "cautions": list(solution.cautions),
+            "residual": solution.residual,
+            "unknowns": solution.unknowns,
+            "frequency_Hz": solution.problem.frequency,
+            "harmonics": list(solution.orders),
+            "outputs": {name: _list_amplitudes(solution, name) for name in model.outputs},
+            "merit": {name: solution.merit[name] for name in list_figures(solution)},
+        },
+        "model": {
+            "nodes": index_map.size_global,
+            "cells": chain.mesh.domain.topology.index_map(2).size_global,
+            "smallest_scaled_jacobian": chain.mesh.smallest_scaled_jacobian,
+            "pairs": model.pairs,
+            "coordinates": model.size,
+            "full_stick_frequencies_Hz": reduction.full_stick.frequency.tolist(),
+            "fixed_interface_frequencies_Hz": reduction.fixed_interface_frequencies.tolist(),
+        },
+        "ranks": chain.mesh.domain.comm.size,
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        "system": platform.platform(),
+        "git_revision": find_git_revision(),
+        "versions": find_versions(),
+    }
+
+
+def find_versions() -> dict[str, str]:
+    """Versions of everything that has a say in the numbers."""
+    modules = {name: import_module(name) for name in ("ewr_fenicsx", *PACKAGES)}
+    return {"python": platform.python_version()} | {
+        name: str(getattr(m, "__version__", "?")) for name, m in modules.items()
+    }
+
+
+def find_git_revision() -> str | None:
+    """Revision of the checkout that this package runs from; None where it is installed without one."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def measure_memory() -> float:
+    """Largest resident memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@contextmanager
+def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDMFFile]:
+    """An XDMF file that holds the mesh; collective.
+
+    Raises:
+        OSError: It cannot be written, as on a full disk.
+    """
+    try:
+        with dolfinx.io.XDMFFile(domain.comm, str(path), "w") as file:
+            file.write_mesh(domain)
+            yield file
+    except RuntimeError as error:  # all that dolfinx says of files
+        free = shutil.disk_usage(path.parent).free / 1e6
+        raise OSError(errno.EIO, f"{error} {free:.1f} MB are free there", path) from error
+    if domain.comm.rank == 0:
+        # dolfinx 0.9 writes https into the name of XInclude; by that name ParaView's Xdmf2 reader crashes
+        text = path.read_text(encoding="utf-8")
+        path.write_text(text.replace("https://www.w3.org/", "http://www.w3.org/"), encoding="utf-8")
+
+
+def write_series(
+    path: Path, domain: dolfinx.mesh.Mesh, times: RealArray, fields: Iterable[dolfinx.fem.Function]
+) -> None:
+    """Writes fields of the degree of ``domain``, named like their file; collective."""
+    with _open_xdmf(path, domain) as file:
+        for instant, field in zip(times, fields, strict=True):
+            field.name = path.stem
+            file.write_function(field, instant)
+
+
+def _round_series(path: Path) -> None:
+    """Makes the values of a series' HDF5 file whole: dolfinx 0.5 adds up shape functions, to 1.99999999999996."""
+    with h5py.File(path, "r+") as file:
+        for values in file["Function"][path.stem].values():
+            values[...] = np.rint(values[...])
+
+
+def _list_amplitudes(solution: PeriodicSolution, name: str) -> list[dict[str, float]]:
+    return [
+        {"harmonic": h, "real": float(a.real), "imag": float(a.imag)}
+        for h, a in zip(solution.orders, solution.output(name), strict=True)
+    ]

@@ -1,0 +1,208 @@
+"""From what a contact problem states to what it calls for: ``compose`` builds its ``ContactSystem``.
+
+Only the rows, laws and unknowns that the statement calls for. Bonded pairs are projected out of the model, prescribed
+forces are loads. Each pair gets its weights, and what closes its truncation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.laws.contact_laws import ContactLaws
+from ewr_fenicsx.laws.law_kinds import Law, PairGroup, choose_friction_weight, spread_over_pairs
+from ewr_fenicsx.model.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
+from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.statics import find_holding
+from ewr_fenicsx.problem.closure import find_masses, find_springs
+from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.harmonics import FourierBasis
+from ewr_fenicsx.problem.layout import DIRECTIONS, Layout, demand_rows, lay_out
+
+# Times the flexibility against stiffness and inertia together, above which a row's static one is that of soft springs,
+# far below their resonance, and not the pair's: five times a mode's frequency changes nothing.
+SOFT = 30.0
+# rho_N = this / flexibility, pair by pair (docs/method.md: what weights do)
+DEFAULT_NORMAL_WEIGHT = 10.0
+
+
+class Statement(Protocol):
+    """What must be known of a ``ContactProblem``; attributes as there."""
+
+    model: ReducedModel
+    groups: tuple[tuple[np.ndarray, ContactLaws], ...]
+    frequency: float
+    omega: float
+    basis: FourierBasis
+    rho_normal: float | RealArray | None
+    rho_tangential: float | RealArray | None
+    closure: str | RealArray
+    has_springs: bool
+    has_masses: bool
+    clearance: RealArray
+    given_force: Mapping[int, ComplexArray]
+    excitation: Mapping[int, ComplexArray]
+    generalised_inverse: GeneralisedInverse
+
+
+def compose(problem: Statement) -> ContactSystem:
+    """Build the system of a problem.
+
+    Raises:
+        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, or a given normal force
+            at harmonics that the problem does without; or contact holds a floating body, and harmonic 0 is not kept.
+        UnheldBody: Contact cannot hold a floating body under its mean load.
+    """
+    model, basis = problem.model, problem.basis
+    layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
+    check_given_force(problem)
+    check_mean(basis, layout)
+    load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
+    flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
+    if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
+        flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, layout.rows, problem.omega))
+    compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
+    rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
+    return ContactSystem(
+        layout=layout,
+        load=load,
+        prescribed=problem.given_force,
+        laws=tuple(
+            law
+            for pairs, laws in problem.groups
+            for law in build_laws(problem, pairs, laws, layout, flexibility, rubs_to_hold)
+        ),
+        flexibility=flexibility,
+        basis=basis,
+        compliance=compliance,
+    )
+
+
+def check_given_force(problem: Statement) -> None:
+    """Refuses harmonics of given normal forces that the problem does without.
+
+    A force that does not act on the model is but a limit of friction, which is seen at the samples.
+
+    Raises:
+        ModelError: A harmonic is not kept, or too high for the samples.
+    """
+    basis, normal = problem.basis, problem.model.normal
+    for h, amplitude in ((h, amplitude) for h, amplitude in problem.given_force.items() if np.any(amplitude)):
+        moves = normal is not None and np.any(normal.T @ amplitude)
+        if h not in basis.orders and (moves or not problem.frequency):
+            remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
+            raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")
+        if 2 * h >= basis.samples and h:
+            raise ModelError(
+                f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
+                f"from a lower one; give at least {2 * h + 1}"
+            )
+
+
+def check_mean(basis: FourierBasis, layout: Layout) -> None:
+    """Refuses contact forces without a mean on bodies that nothing else holds: they may walk, and nobody would see.
+
+    Raises:
+        ModelError: Harmonic 0 is not kept, and contact holds a floating body.
+    """
+    if not basis.has_mean and np.any(layout.rows @ layout.model.rigid_modes):
+        raise ModelError(
+            f"contact holds a floating body, and the problem keeps only harmonics {basis.orders}: whether it carries "
+            "the mean load, or the body walks, would not show; add 0 to harmonics"
+        )
+
+
+def build_laws(
+    problem: Statement,
+    pairs: np.ndarray,
+    laws: ContactLaws,
+    layout: Layout,
+    flexibility: RealArray,
+    rubs_to_hold: bool,
+) -> list[Law]:
+    """Law objects of one group of pairs."""
+    rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
+    own = {direction: flexibility[at] for direction, at in rows.items()}
+    weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
+    masses = {d: choose_closing_mass(problem, pairs, layout, d, rubs_to_hold) for d in rows if d != "normal"}
+    closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
+    clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
+    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
+    return laws.build(group)
+
+
+def choose_weight(problem: Statement, direction: str, pairs: np.ndarray, flexibility: RealArray) -> RealArray:
+    """``(K,)`` weight of some pairs' rows in a direction: the user's, or by each row's ``flexibility`` [m/N]."""
+    given = problem.rho_normal if direction == "normal" else problem.rho_tangential
+    if given is not None:
+        return pick_pairs(given, pairs, problem.model.pairs)
+    if direction == "normal":
+        return DEFAULT_NORMAL_WEIGHT / flexibility
+    return choose_friction_weight(problem.omega or 1.0, flexibility)
+
+
+def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:
+    """``(K,)`` values of some pairs, in their order, of a problem's scalar or ``(K_c,)``."""
+    return spread_over_pairs(value, np.arange(total), total)[pairs]
+
+
+def choose_closing(
+    problem: Statement, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray
+) -> RealArray:
+    """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
+    if not isinstance(problem.closure, str):
+        return pick_pairs(problem.closure, pairs, problem.model.pairs)
+    highest = problem.basis.orders[-1]
+    if not problem.has_springs or not highest:
+        return np.zeros(pairs.size)
+    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
+
+
+def choose_closing_mass(
+    problem: Statement, pairs: np.ndarray, layout: Layout, direction: str, rubs_to_hold: bool
+) -> RealArray:
+    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
+
+    None where bodies hang on friction: dashpots tell whether these walk. And none where no equation of the mean keeps
+    the mass's own surface from sliding off.
+    """
+    highest, at = problem.basis.orders[-1], layout.index[direction]
+    masses = np.zeros(at.size)
+    held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
+    if problem.has_masses and highest and held and not rubs_to_hold:
+        odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
+        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, odd)
+    return masses[pairs]
+
+
+def halves_repeat(problem: Statement, pairs: np.ndarray, layout: Layout) -> bool:
+    """Whether friction has no mean at a group of pairs by half-wave symmetry: motions are odd, given limits even."""
+    limits = {h for h, force in problem.given_force.items() if np.any(force[pairs])}
+    given = np.all(layout.row_of("normal", pairs) < 0)
+    return bool(given) and all(h % 2 for h in problem.basis.orders) and not any(h % 2 for h in limits)
+
+
+def find_friction_that_holds(problem: Statement, layout: Layout, compliance: DynamicCompliance) -> bool:
+    """Whether floating bodies hang on friction.
+
+    Raises:
+        UnheldBody: Nothing holds a body, or only the mean friction that ``static_friction = "zero"`` leaves out.
+    """
+    if compliance.rigid_load.size == 0:
+        return False
+    K, r = problem.model.pairs, compliance.rigid_load.size
+    motion = np.zeros((1 + max(1, problem.model.tangents), K, r))
+    for seen, direction in zip(motion, DIRECTIONS, strict=False):
+        rows = layout.row_of(direction, np.arange(K))
+        seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
+    smallest, largest, friction, rubs = np.zeros((4, K))
+    for pairs, laws in problem.groups:
+        normal, tangential = (k.bound_mean(lambda v, p=pairs: spread_over_pairs(v, p, K)) for k in laws.kinds)
+        smallest[pairs], largest[pairs] = normal.smallest, normal.largest
+        friction[pairs] = tangential.friction
+        rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
+    return find_holding(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs) == "friction"

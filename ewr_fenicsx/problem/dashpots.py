@@ -1,0 +1,74 @@
+"""Weights of the friction law as dashpots that close the truncation: each pair's mobility beyond the harmonics kept.
+
+The projected law would be exact if the harmonics left out obeyed ``v_h = rho_T lam_h`` (docs/method.md). Springs in
+their place are ``closure.py``'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.problem.closure import average, list_beyond, measure_beyond
+from ewr_fenicsx.problem.composition import choose_weight
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+
+
+def use_mobility(problem: ContactProblem) -> ContactProblem:
+    """The problem with the weights of ``match_mobility``."""
+    return replace(problem, rho_tangential=match_mobility(problem))
+
+
+def match_mobility(problem: ContactProblem) -> RealArray | None:
+    """``(K_c,)`` weights ``rho_T`` that close the truncation: each pair's mobility at the first harmonics left out.
+
+    Geometric mean over some of them, for a single one may hit a resonance; with two tangents, of a size that does not
+    depend on where they point. None without friction [(m/s)/N].
+    """
+    if read_weight(problem, "tangential") is None:
+        return None
+    problem = replace_masses(problem)
+    weight, system = read_weight(problem, "tangential"), problem.system
+    beyond = list_beyond(problem.basis.orders[-1])
+    rate = np.array(beyond)[:, None] * problem.omega
+    measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond)  # noqa: E731
+    for law in system.laws:
+        if law.direction == "tangential" and hasattr(law, "rho"):
+            at = [system.row_of(direction, law.pairs) for direction in problem.model.tangent_directions]
+            along = [system.rows[rows] for rows in at if np.all(rows >= 0)]
+            own = [measure(rows) for rows in along]
+            size = np.linalg.norm(own, axis=0)
+            if len(along) == 2:
+                between = (measure(along[0] + along[1]) - own[0] - own[1]) / 2
+                size = np.hypot(size, np.sqrt(2) * np.abs(between))
+            weight[law.pairs] = average(rate * size / np.sqrt(len(along)))
+    return weight
+
+
+def read_friction_weight(problem: ContactProblem) -> RealArray | None:
+    """``(K_c,)`` weights ``rho_T`` of a problem, ones where a pair has none; None without any [(m/s)/N].
+
+    Weights for all pairs leave no masses: where some pairs have weights, those of the masses are the default ones.
+    """
+    weight = read_weight(problem, "tangential")
+    return None if weight is None else read_weight(replace_masses(problem), "tangential")
+
+
+def replace_masses(problem: ContactProblem) -> ContactProblem:
+    """The problem with dashpots in place of the masses that close its truncation; itself where none do."""
+    return replace(problem, closure="dashpot") if "masses" in problem.system.closures else problem
+
+
+def read_weight(problem: ContactProblem, direction: str) -> RealArray | None:
+    """``(K_c,)`` weights that laws with a ``rho`` were given in a direction, ones at other pairs; None without any.
+
+    A law may make a weight of its own of the one that it is given, so its ``rho`` is not what a problem would repeat.
+    """
+    system, weight, found = problem.system, np.ones(problem.model.pairs), False
+    for law in system.laws:
+        if law.direction == direction and hasattr(law, "rho"):
+            flexibility = system.flexibility[system.row_of(direction, law.pairs)]
+            weight[law.pairs], found = choose_weight(problem, direction, law.pairs, flexibility), True
+    return weight if found else None

@@ -1,0 +1,106 @@
+"""What laws say of themselves, and what they answer: refused, with the remedy, where it makes no sense."""
+
+from __future__ import annotations
+
+from reprlib import repr as shorten
+from typing import get_args
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.laws.law_kinds import Law, Partial, Response, Variable
+from ewr_fenicsx.problem.layout import DIRECTIONS
+
+
+def check_claims(law: Law) -> None:
+    """Refuses a law that cannot be what it says.
+
+    Raises:
+        ModelError: Weights of another shape, a projection of nothing, or corners that it does not tell.
+    """
+    check_row_weights(law)
+    check_projection(law)
+    check_corners(law)
+
+
+def check_row_weights(law: Law) -> None:
+    """Refuses weights of a law's mean equation that are neither one number nor one a pair.
+
+    Raises:
+        ModelError: A weight has another shape.
+    """
+    for name in ("static_row", "static_force_row", "static_displacement_row", "stick_flexibility"):
+        shape = np.shape(getattr(law, name))
+        if shape not in ((), law.pairs.shape):
+            raise ModelError(
+                f"{type(law).__name__}.{name} has shape {shape}; give one number, or one a pair, {law.pairs.shape}"
+            )
+
+
+def check_projection(law: Law) -> None:
+    """Refuses a law that says it is a projection but not of what, or on what.
+
+    Raises:
+        ModelError: ``opposes`` is no such motion, there is no ``admit``, or ``impedance`` is not one a pair.
+    """
+    name, known = type(law).__name__, ("displacement", "velocity")
+    if not law.opposes:
+        return
+    if law.opposes not in known:
+        raise ModelError(
+            f'{name}.opposes = {law.opposes!r}; give one of {", ".join(known)}{nearest(law.opposes, known)}, or ""'
+        )
+    if _lacks(law, "admit"):
+        raise ModelError(f'{name}.opposes = "{law.opposes}", but it has no admit; give that, or leave opposes out')
+    if law.impedance is not None and np.shape(law.impedance) != law.pairs.shape:
+        raise ModelError(
+            f"{name}.impedance has shape {np.shape(law.impedance)}; give one a pair, {law.pairs.shape}, or None"
+        )
+
+
+def check_corners(law: Law) -> None:
+    """Refuses a law that says it has corners but does not tell them.
+
+    Raises:
+        ModelError: ``find_corners`` or ``differentiate`` is missing.
+    """
+    for name in ("find_corners", "differentiate") if law.has_corners else ():
+        if _lacks(law, name):
+            raise ModelError(f"{type(law).__name__}.has_corners, but it has no {name}; give that, or leave both out")
+
+
+def _lacks(law: Law, method: str) -> bool:
+    """Whether a law has nothing of its own in place of a method of the protocol."""
+    return getattr(getattr(law, method), "__func__", None) is getattr(Law, method)
+
+
+def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:
+    """Refuses an answer that is none: what the rest would stumble over, or worse, would not notice.
+
+    Raises:
+        ModelError: Not a ``Response``, or values, a variable or a direction that it cannot have.
+    """
+    name = f"{type(law).__name__}.evaluate"
+    if not isinstance(response, Response) or not all(isinstance(part, Partial) for part in response.partials):
+        raise ModelError(f"{name} returns {shorten(response)}; give a Response(residual, (Partial(...), ...))")
+    for part in response.partials:
+        for what, given, known in (
+            ("variable", part.variable, get_args(Variable)),
+            ("direction", part.direction, DIRECTIONS),
+        ):
+            if given not in known:
+                hint = nearest(given, known)
+                raise ModelError(
+                    f'{name} returns a Partial by the {what} "{given}"; give one of {", ".join(known)}{hint}'
+                )
+    named = [("residual", response.residual)]
+    for part in response.partials:
+        told = f"derivative by the {part.direction.replace('_', ' ')} {part.variable.replace('_', ' ')}"
+        memory = (("since", part.since), ("kept", part.kept))
+        named += [(told, part.values), *((f"{name} of the {told}", at) for name, at in memory if at is not None)]
+    for told, values in named:
+        if np.shape(values) != shape or np.iscomplexobj(values):
+            raise ModelError(
+                f"{name} returns a {told} of shape {np.shape(values)}, {np.asarray(values).dtype}; give real numbers "
+                f"of shape {shape}, instants by pairs"
+            )

@@ -1,0 +1,209 @@
+"""The rows of a joint: which directions of which pairs carry an unknown force, and which are held.
+
+They follow from the kinds of law alone, so that problems that differ in parameters share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.laws.law_kinds import LawKind
+from ewr_fenicsx.model.compliance import receptance
+from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
+
+_ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
+_OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
+_ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
+DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
+
+
+class Demand(NamedTuple):
+    """What the laws of a group of pairs ask of the model's rows."""
+
+    pairs: tuple[int, ...]
+    active: tuple[str, ...]  # directions with an unknown force
+    held: tuple[str, ...]  # directions projected out
+
+
+def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ...]) -> Demand:
+    """Which rows of some pairs carry an unknown force, and which are held.
+
+    A direction that is held has an unknown force all the same where another kind must know it.
+
+    Raises:
+        ModelError: A kind does not fit the model's number of tangents, or acts in or holds what is no direction.
+    """
+    needed = {d for kind in kinds for d in kind.needs}
+    held = [d for kind in kinds for d in _ask(kind, "holds", model.tangents)]
+    acting = [d for kind in kinds for d in _ask(kind, "acts_in", model.tangents)] + [d for d in held if d in needed]
+    return Demand(
+        tuple(pairs.tolist()),
+        tuple(d for d in DIRECTIONS if d in acting),
+        tuple(d for d in DIRECTIONS if d in held and d not in acting),
+    )
+
+
+def _ask(kind: LawKind, name: str, tangents: int) -> Sequence[str]:
+    """The directions that a kind names by one of its methods."""
+    given = getattr(kind, name)(tangents)
+    if isinstance(given, str) or not set(given) <= set(DIRECTIONS):
+        known = ", ".join(f'"{direction}"' for direction in DIRECTIONS)
+        raise ModelError(f"{type(kind).__name__}.{name} returns {given!r}; give a tuple of some of {known}")
+    return given
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The rows of a joint, which follow from the kinds of law alone.
+
+    Attributes:
+        model: The model with bonded rows projected out, ``n'`` coordinates.
+        expansion: ``(n, n')`` from its coordinates to those of the problem's model.
+        rows: ``(m, n')`` contact rows that carry an unknown force.
+        index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
+        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out; with two tangents a pair
+            the mean of both [m/N].
+        mobility: ``(m,)`` inverse inertia of each row where it is all that resists, else zero [1/kg].
+    """
+
+    model: ReducedModel
+    expansion: RealArray
+    rows: RealArray
+    index: Mapping[str, np.ndarray]
+    flexibility: RealArray
+    mobility: RealArray
+
+    def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
+        """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
+        return self.index[direction][pairs] if direction in self.index else np.full(pairs.size, -1)
+
+
+@lru_cache(maxsize=16)
+def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
+    """Rows of a joint from what each group of pairs asks for.
+
+    Raises:
+        ModelError: A law needs contact rows that the model lacks, or a row that nothing can move.
+    """
+    held, active = [np.zeros((0, model.size))], {}
+    for demand in demands:
+        pairs = np.array(demand.pairs, dtype=int)
+        held += [model.rows(direction)[pairs] for direction in demand.held]
+        for direction in demand.active:
+            active.setdefault(direction, []).append(pairs)
+    active = {direction: active[direction] for direction in DIRECTIONS if direction in active}
+    directions = {name: np.sort(np.concatenate(pairs)) for name, pairs in active.items()}
+    rows = np.vstack([np.zeros((0, model.size)), *(model.rows(name)[pairs] for name, pairs in directions.items())])
+    index, start = {}, 0
+    for name, pairs in directions.items():
+        index[name] = np.full(model.pairs, -1)
+        index[name][pairs] = np.arange(start, start + pairs.size)
+        start += pairs.size
+    kept, expansion = hold(model, np.vstack(held))
+    whole, rows = rows, rows @ expansion
+    immobile = np.linalg.norm(rows, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
+    if np.any(immobile):
+        places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
+        name, pair = places[int(np.argmax(immobile))]
+        in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
+        raise ModelError(
+            f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is clamped, or held "
+            f"by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
+        )
+    flexibility, mobility = measure_flexibility(kept, rows)
+    if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
+        twins = np.array([index["tangential"], index["second_tangential"]])
+        twins = twins[:, np.all(twins >= 0, axis=0)]
+        flexibility[twins] = flexibility[twins].mean(axis=0)
+        mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
+    return Layout(kept, expansion, rows, index, flexibility, mobility)
+
+
+def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
+    """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
+
+    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left.
+
+    Args:
+        model: The model.
+        rows: ``(m, n)`` rows held.
+
+    Returns:
+        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
+
+    Raises:
+        ModelError: Nothing is left to move.
+    """
+    rows = rows[np.any(rows != 0, axis=1)]
+    if rows.shape[0] == 0:
+        return model, np.eye(model.size)
+    basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
+    if basis.shape[1] == 0:
+        raise ModelError(
+            f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
+            "directions, or give a model with more coordinates"
+        )
+    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
+    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
+    held = replace(
+        model,
+        mass=symmetric(_project(model.mass, basis)),
+        damping=basis.T @ model.damping @ basis,
+        stiffness=symmetric(_project(model.stiffness, basis)),
+        normal=project(model.normal),
+        tangential=project(model.tangential),
+        load={h: basis.T @ f for h, f in model.load.items()},
+        outputs={name: basis.T @ c for name, c in model.outputs.items()},
+        rigid_modes=basis.T @ _rigid_modes_that_obey(model, rows),
+    )
+    return held, basis
+
+
+def _project(matrix: RealArray, basis: RealArray) -> RealArray:
+    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
+    forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
+    reached = np.abs(basis).T @ forces + eps * forces.sum()
+    projected, rounding = basis.T @ matrix @ basis, _ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
+    return np.where(np.abs(projected) > rounding, projected, 0.0)
+
+
+def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:
+    """Combinations of the rigid modes that leave rows at rest."""
+    modes = model.rigid_modes / bound_motion(model, rows)
+    _, values, turn = np.linalg.svd(rows @ modes)
+    return modes @ turn[np.count_nonzero(values > _OBEYED) :].T
+
+
+def _advise(direction: str, moves_in_plane: bool) -> str:
+    """What a user may do about a row that nothing moves, though the pair's other tangent may."""
+    if direction == "normal":
+        return "leave the pair out, or prescribe its normal force"
+    if moves_in_plane:
+        return (
+            "turn both tangents of the pair in their plane until neither lies across the line along which it moves, "
+            "say by 45 degrees: friction has no preferred direction"
+        )
+    return "leave the pair out, or make it frictionless"
+
+
+def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:
+    """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, 0 and the row's mobility [1/kg]."""
+    mobility = np.zeros(rows.shape[0])
+    if rows.shape[0] == 0:
+        return mobility, mobility
+    elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
+    norms = np.linalg.norm(rows, axis=1)
+    rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
+    if np.any(rigid):
+        inverse = scipy.linalg.pinvh(model.mass)  # other coordinates may have no mass
+        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].T)
+        elastic[rigid] = 0.0
+    return elastic, mobility

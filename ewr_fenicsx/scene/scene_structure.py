@@ -1,0 +1,153 @@
+"""The structure of a scene: geometry, materials, supports, loads and outputs; all but the joint, and what is solved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from ewr_fenicsx.scene.scene_entries import Integer, Number, Positive, Ratio, Section, Vector, choose_form, entry
+
+HIGHEST_HARMONIC = 255  # beyond it a solve would take more memory than there is
+
+
+class Geometry(Section):
+    """Where the mesh comes from."""
+
+    source: Path = entry(
+        ..., "-", "Builder (.py with a `build` function) or gmsh mesh (.msh); relative to the scene file."
+    )
+    parameters: dict[str, Any] = Field({}, description="Keyword arguments of the builder's `build`; lengths in m.")
+
+    @field_validator("source")
+    @classmethod
+    def find_source(cls, source: Path, info: ValidationInfo) -> Path:
+        source = ((info.context or {}).get("folder", Path()) / source).resolve()
+        if source.suffix not in (".py", ".msh"):
+            raise PydanticCustomError("source", "should be a builder (.py) or a gmsh mesh (.msh), as gmsh -2 makes it")
+        if not source.is_file():
+            raise PydanticCustomError("source", "no such file: {path}", {"path": str(source)})
+        return source
+
+    @model_validator(mode="after")
+    def refuse_parameters_of_a_mesh_file(self) -> Geometry:
+        if self.source.suffix == ".msh" and self.parameters:
+            raise PydanticCustomError("parameters", "parameters are for builders (.py); a .msh file takes none")
+        return self
+
+
+class Material(Section):
+    """Linear elastic, isotropic. The default is Ti-6Al-4V."""
+
+    young: Number = entry(113.8e9, "Pa", "Young's modulus.", gt=0)
+    poisson: Number = entry(0.342, "-", "Poisson's ratio.", gt=-1, lt=0.5)
+    density: Number = entry(4430.0, "kg/m^3", "Mass density.", gt=0)
+
+
+class Elasticity(Section):
+    """The finite-element model of the bodies."""
+
+    plane: Literal["stress", "strain"] = entry("stress", "-", "Plane stress or plane strain.")
+    thickness: Number = entry(0.01, "m", "Thickness across the plane.", gt=0)
+    degree: Literal[1, 2] = entry(1, "-", "Polynomial degree of the elements.")
+
+
+class RayleighDamping(Section):
+    """D = alpha M + beta K."""
+
+    kind: Literal["rayleigh"] = entry(..., "-", "Which form of damping this is.")
+    alpha: Number = entry(..., "1/s", "Factor of the mass matrix.", ge=0)
+    beta: Number = entry(..., "s", "Factor of the stiffness matrix.", ge=0)
+
+
+class RatioDamping(Section):
+    """D = alpha M + beta K with the given ratios of critical damping at two frequencies."""
+
+    kind: Literal["ratios"] = entry("ratios", "-", "Which form of damping this is.")
+    ratios: tuple[Ratio, Ratio] = entry((0.002, 0.002), "-", "Ratios of critical damping at the two frequencies.")
+    frequencies: tuple[Positive, Positive] = entry((500.0, 3000.0), "Hz", "The two frequencies, rising.")
+
+    @model_validator(mode="after")
+    def check_order(self) -> RatioDamping:
+        if self.frequencies[0] >= self.frequencies[1]:
+            raise PydanticCustomError("order", "the two frequencies should rise, and differ")
+        return self
+
+
+class ModalDamping(Section):
+    """The same ratio of critical damping for every mode of the open joint.
+
+    Where the joint holds a body that would otherwise float, the lowest modes of the stuck joint have this ratio too;
+    its other modes have somewhat less. `ewr info` tells the ratio of the first stuck mode. What that takes also drags
+    such a body where it slides far or lifts off, and gives the lowest modes of the open joint up to half as much again:
+    take `rayleigh` with `alpha = 0` there.
+    """
+
+    kind: Literal["modal"] = entry(..., "-", "Which form of damping this is.")
+    ratio: Number = entry(..., "-", "Ratio of critical damping of every mode of the open joint.", ge=0, lt=1)
+
+
+class Supports(Section):
+    """Where bodies are held."""
+
+    clamp: tuple[str, ...] = entry(("clamp",), "-", "Boundaries held in all directions.")
+
+
+class ForceLoad(Section):
+    """A force spread evenly over a boundary, `force * cos(harmonic * omega t + phase)`."""
+
+    kind: Literal["force"] = entry("force", "-", "Which kind of load this is.")
+    boundary: str = entry(..., "-", "Boundary that carries the force.")
+    force: Vector = entry(..., "N", "Resultant (x, y).")
+    harmonic: Integer = entry(
+        0, "-", "0 is static, 1 follows the excitation frequency, 2 is twice that.", ge=0, le=HIGHEST_HARMONIC
+    )
+    phase: Number = entry(0.0, "degree", "Phase at time zero.")
+
+    @model_validator(mode="after")
+    def check_load(self) -> ForceLoad:
+        if not any(self.force):
+            raise PydanticCustomError("force", "the force is zero; remove this load or give it a value")
+        if self.harmonic == 0 and self.phase:
+            raise PydanticCustomError("phase", "a static load (harmonic = 0) has no phase; was harmonic = 1 meant?")
+        return self
+
+
+class RotationLoad(Section):
+    """The centrifugal body force of a rotation about an axis normal to the plane; static."""
+
+    kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
+    speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0, le=1e9)
+    centre: Vector = entry(..., "m", "Where the axis meets the plane (x, y), in the mesh's coordinates.")
+
+    @property
+    def harmonic(self) -> int:
+        return 0
+
+
+Damping = choose_form(("ratios", RatioDamping), ("rayleigh", RayleighDamping), ("modal", ModalDamping))
+Load = choose_form(("force", ForceLoad), ("rotation", RotationLoad))
+
+
+class Output(Section):
+    """A displacement to follow: the mean over a boundary along a direction."""
+
+    boundary: str = entry(..., "-", "Boundary whose mean displacement is followed.")
+    direction: Vector = entry(..., "-", "Direction (x, y); its length does not matter.")
+
+    @field_validator("direction")
+    @classmethod
+    def check_direction(cls, direction: Vector) -> Vector:
+        if not any(direction):
+            raise PydanticCustomError("direction", "should not be the zero vector")
+        return direction
+
+
+class Reduction(Section):
+    """Component mode synthesis."""
+
+    modes: Integer = entry(
+        30, "-", "Fixed-interface modes kept; with an accuracy only to begin with: more are added as needed.", ge=1
+    )

@@ -1,0 +1,70 @@
+"""What the laws make of a solution: which histories mean something, the friction limit, and open, stick or slip."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.problem.harmonics import FourierBasis
+from ewr_fenicsx.solution.periodic_motion import SECOND
+from ewr_fenicsx.solution.solution import PeriodicSolution
+
+OPEN, STICK, SLIP = 0, 1, 2
+
+
+def list_histories(solution: PeriodicSolution) -> tuple[str, ...]:
+    """Names of the histories that the laws of a solution call for; the others are zero by construction."""
+    called = {name for _, laws in solution.problem.groups for kind in laws.kinds for name in kind.histories}
+    called |= {SECOND + name for name in called}
+    return tuple(name for name in solution.histories if name in called)
+
+
+def find_pairs_with(solution: PeriodicSolution, name: str) -> np.ndarray:
+    """``(K_c,)`` at which pairs a history means something: where a law calls for it."""
+    found = np.zeros(solution.problem.model.pairs, dtype=bool)
+    for pairs, laws in solution.problem.groups:
+        found[pairs] = any(name in kind.histories for kind in laws.kinds)
+    return found
+
+
+def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
+    """Names of the figures of merit that the laws of a solution call for; the others are zero by construction."""
+    histories = list_histories(solution)
+    calls = {
+        "largest_normal_force": "normal_force",
+        "penetration": "gap",
+        "tension": "gap",
+        "J_N": "gap",
+        "J_T": "slip",
+        "cone_violation": "admissible_friction_force",
+        "friction_dissipation": "admissible_friction_force",
+    }
+    return tuple(name for name in solution.merit if name not in calls or calls[name] in histories)
+
+
+def changes_state(solution: PeriodicSolution) -> bool:
+    """Whether some pair may open or slip."""
+    return bool({"gap", "slip"} & set(list_histories(solution)))
+
+
+def sample_friction_limit(solution: PeriodicSolution, samples: int) -> RealArray:
+    """``mu max(0, lam_N)`` over one period, ``(samples, K_c)`` [N]; zero for pairs without Coulomb friction."""
+    return solution.problem.friction * np.maximum(0.0, solution.history("normal_force", samples))
+
+
+def classify_contact(solution: PeriodicSolution, samples: int) -> np.ndarray:
+    """OPEN, STICK or SLIP for every pair over one period, ``(samples, K_c)`` int.
+
+    The decisions are those of the laws themselves at the samples. Where no law decides, pairs stick when bonded and
+    slip when frictionless.
+    """
+    state = np.full((samples, solution.problem.model.pairs), STICK)
+    for pairs, laws in solution.problem.groups:
+        if any(kind.slides for kind in laws.kinds):
+            state[:, pairs] = SLIP
+    decided = solution.law_fields(FourierBasis(solution.orders, samples))
+    for name, code in (("slipping", SLIP), ("open", OPEN)):  # a pair that is open does nothing else
+        for law, fields in decided:
+            if name in fields:
+                state[:, law.pairs] = np.where(fields[name], code, state[:, law.pairs])
+    return state

@@ -1,0 +1,82 @@
+"""Whether a solution depends on how its loads came: what pairs that never slip may carry on average is open.
+
+The laws have a family of steady states where pairs stick throughout. ``static_friction = "resolved"`` takes the one
+with the least mean friction, ``"held"`` the one that a slow loading from rest leads to (``mean_friction.py``). Whether
+the two differ is seen from one Newton step from the one towards the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import name_pairs
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.laws.cone import FrictionLaw
+from ewr_fenicsx.laws.contact_laws import ContactLaws
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+
+# Mean friction over its limit, and what it changes of a mean normal force over the largest one, from where on the
+# history of the loads is worth a word
+CARRIED, CHANGED = 0.05, 0.05
+
+
+def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray) -> list[str]:
+    """A line where pairs that never slip may carry friction on average that would decide about others, or at rest.
+
+    Args:
+        problem: What was solved.
+        forces: Its solution's contact forces ``(n_h, m)`` [N].
+        rigid: Its rigid coordinates ``(r,)`` [m].
+    """
+    balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
+    stuck, limit = find_stuck(balance, forces, rigid)
+    if not (balance.basis.has_mean and stuck.size):
+        return []
+    held = HarmonicBalance(hold_in_place(problem).system, balance.force_unit)
+    unknowns = balance.pack(forces, rigid)
+    try:
+        step = held.linearise(unknowns)
+        change = held.unpack(step.solve(step.residual))[0][0].real
+    except np.linalg.LinAlgError:
+        return []
+    size = lambda direction, pairs: np.abs(change[problem.system.row_of(direction, pairs)])  # noqa: E731
+    carried = stuck[size("tangential", stuck) > CARRIED * limit]
+    pressed = problem.system.index.get("normal", np.zeros(0, dtype=int))
+    pressed = np.flatnonzero(pressed >= 0)
+    largest = np.abs(forces[0].real[problem.system.row_of("normal", pressed)]).max(initial=0.0)
+    decides = np.any(size("normal", pressed) > CHANGED * largest)
+    if not carried.size or not (decides or not problem.frequency):
+        return []
+    what = "normal forces" if decides else "where they rest"
+    return [
+        f"friction holds {name_pairs(carried)} throughout: what it carries there on average, and with it {what}, "
+        'depends on how the loads came; this is the state with the least of it, static_friction = "held" the one after '
+        "a slow loading from rest"
+    ]
+
+
+def find_stuck(balance: HarmonicBalance, forces: ComplexArray, rigid: RealArray) -> tuple[np.ndarray, RealArray]:
+    """Pairs with friction that never slip, whose mean friction is resolved, and the least limit of each [N]."""
+    stuck, limits = [], []
+    seen = balance.sample(forces, balance.compliance.motion(forces, rigid))
+    for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
+        resolved = np.all(balance.static_row[rows] > 0) and not np.any(balance.held[rows])
+        if isinstance(law, FrictionLaw) and law.direction == "tangential" and resolved:
+            least = law.limit(at.force).min(axis=0)
+            sticks = ~np.any(law.fields(at)["slipping"], axis=0) & (least > 0)
+            stuck.append(law.pairs[sticks])
+            limits.append(least[sticks])
+    pairs, limit = (np.concatenate([np.zeros(0, dtype=kind), *x]) for kind, x in ((int, stuck), (float, limits)))
+    order = np.argsort(pairs)
+    return pairs[order], limit[order]
+
+
+def hold_in_place(problem: ContactProblem) -> ContactProblem:
+    """The problem with friction that holds its pairs where they are without loads."""
+    hold = lambda laws: replace(laws, static_friction="held")  # noqa: E731
+    if isinstance(problem.laws, ContactLaws):
+        return replace(problem, laws=hold(problem.laws))
+    return replace(problem, laws=[(pairs, hold(laws)) for pairs, laws in problem.groups])

@@ -1,0 +1,230 @@
+"""A periodic motion of a joint: force amplitudes, and the forces, gaps and slips of its pairs that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
+from ewr_fenicsx.model.compliance import receptance
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
+
+HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
+SECOND = "second_"  # before the name of a history: along the second tangent of pairs in 3-D
+SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PeriodicMotion:
+    """What moves, and the contact forces that go with it; histories are computed when asked for.
+
+    Attributes:
+        problem: The contact problem.
+        forces: ``(n_h, m)`` complex amplitudes of the unknown contact forces, rows as in ``problem.system`` [N].
+        rigid: ``(r,)`` mean rigid coordinates of floating bodies [m].
+    """
+
+    problem: ContactProblem
+    forces: ComplexArray
+    rigid: RealArray
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics of every amplitude array."""
+        return self.problem.basis.orders
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(n_h,)`` of a named output of the model.
+
+        Raises:
+            ModelError: The model has no such output.
+        """
+        known = self.problem.model.outputs
+        if name not in known:
+            raise ModelError(f'no output "{name}"; the model has {sorted(known)}{nearest(name, known)}')
+        return self.problem.system.compliance.output(name, self.forces, self.rigid)
+
+    @cached_property
+    def coordinates(self) -> ComplexArray:
+        """Amplitudes of the reduced coordinates, ``(n_h, n)``."""
+        system = self.problem.system
+        amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
+        for j, h in enumerate(self.orders):
+            force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
+            amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None])[:, 0]
+        if self.rigid.size:
+            # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
+            modes = system.model.rigid_modes
+            rows = np.vstack([system.rows, *system.model.outputs.values()])
+            outputs = [system.compliance.output(n, self.forces, self.rigid)[0].real for n in system.model.outputs]
+            wanted = np.concatenate([system.compliance.motion(self.forces, self.rigid)[0].real, outputs])
+            amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
+        return amplitudes @ system.expansion.T
+
+    @cached_property
+    def excitation(self) -> ComplexArray:
+        """Amplitudes of all forces that are given, on the reduced coordinates, ``(n_h, n)``: loads, preloads [N]."""
+        nothing = np.zeros(self.problem.model.size, dtype=complex)
+        return np.array([self.problem.excitation.get(h, nothing) for h in self.orders])
+
+    @cached_property
+    def histories(self) -> tuple[str, ...]:
+        """Names that ``history`` knows: the usual ones, and what the laws report besides."""
+        reported = [name for _, laws in self.problem.groups for kind in laws.kinds for name in kind.histories]
+        return tuple(dict.fromkeys([*HISTORIES, *reported, *self._second_histories]))
+
+    @cached_property
+    def _second_histories(self) -> Mapping[str, str]:
+        """What ``history`` knows along second tangents: its name there -> along the first; empty in 2-D."""
+        if self.problem.model.tangents < 2:
+            return {}
+        tangential = [name for _, laws in self.problem.groups for name in laws.kinds[1].histories]
+        return {SECOND + n: n for n in (*HISTORIES, *tangential) if n not in ("normal_force", "gap")}
+
+    def history(self, name: str, samples: int = 1024) -> RealArray:
+        """A quantity of every pair over one period, ``(samples, K_c)``.
+
+        Args:
+            name: ``"normal_force"`` (presses where positive), ``"friction_force"`` (as truncated) and
+                ``"admissible_friction_force"`` (in the cone), on body A along the tangent [N]; ``"gap"`` (initial gap
+                included), ``"slip"`` of A along the tangent, relative to B [m]; ``"slip_velocity"`` [m/s]; or what a
+                law of your own reports, zero at other pairs. In 3-D the tangent is the first one, and ``"second_"``
+                before a name gives the same along the second: ``"second_slip"``.
+            samples: Samples a period, from ``tau = omega t = 0`` on, its end left out.
+
+        Raises:
+            ModelError: An unknown name, one that no law reports, or no whole number of samples.
+        """
+        if name not in self.histories:
+            known = self.histories
+            raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
+        samples = read_samples(samples)
+        model, basis = self.problem.model, FourierBasis(self.orders, samples)
+        along = "second_tangential" if name in self._second_histories else "tangential"
+        name = self._second_histories.get(name, name)
+        if name in ("normal_force", "friction_force"):
+            direction = "normal" if name == "normal_force" else along
+            if direction not in self.pair_forces:
+                return np.zeros((samples, model.pairs))
+            force = basis.synthesise(self.pair_forces[direction])
+            if direction == "normal":  # given harmonics may lie outside those kept
+                everywhere = np.arange(model.pairs)
+                given = {h: a for h, a in self.problem.system.prescribed.items() if h not in self.orders}
+                force += sample_amplitudes(given, everywhere, samples)
+            return force
+        if name == "gap":
+            opening = 0.0 if model.normal is None else basis.synthesise(self.coordinates @ model.normal.T)
+            return opening + np.broadcast_to(self.problem.clearance, (samples, model.pairs))
+        if name in ("slip", "slip_velocity"):
+            if not model.tangents:
+                return np.zeros((samples, model.pairs))
+            slip = self.slip_amplitudes[along]
+            return basis.synthesise(slip if name == "slip" else self._rate * slip)
+        reported = np.zeros((samples, model.pairs))
+        if name == "admissible_friction_force":
+            reported = self.history(SECOND * (along != "tangential") + "friction_force", samples)
+        fields = [(law, fields) for law, fields in self.law_fields(basis) if name in fields]
+        if not fields and name not in HISTORIES:
+            raise ModelError(f'a kind names "{name}" in its histories, and no law of it reports that in fields')
+        for law, found in fields:
+            if (law.direction == "second_tangential") == (along == "second_tangential"):
+                reported[:, law.pairs] = found[name]
+        return reported
+
+    def sliding_speed(self, samples: int = 1024) -> RealArray:
+        """Speed of sliding at every pair over one period, along both tangents in 3-D, ``(samples, K_c)`` [m/s].
+
+        Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
+        add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing. Where
+        no law says, pairs slide if their kind ``slides``, as in ``contact_state.classify_contact``, and else stick.
+        Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend.
+
+        Raises:
+            ModelError: No whole number of samples.
+        """
+        samples = read_samples(samples)
+        stride = self._find_stride(samples)
+        basis = FourierBasis(self.orders, stride * samples)
+        velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
+        slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
+        for pairs, laws in self.problem.groups:
+            slips[:, pairs] = any(kind.slides for kind in laws.kinds)
+        for law, fields in self.law_fields(basis):
+            for name in {"slipping", "open"} & fields.keys():
+                slips[:, law.pairs] |= np.asarray(fields[name], dtype=bool)
+            if "surface_slip" in fields:
+                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
+                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
+        speed = np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
+        return (speed * slips)[::stride]
+
+    def _find_stride(self, samples: int) -> int:
+        """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""
+        return -(-self.problem.basis.samples // samples)
+
+    @cached_property
+    def slip_amplitudes(self) -> Mapping[str, ComplexArray]:
+        """Amplitudes ``(n_h, K_c)`` of the slip at all pairs by tangential direction [m]."""
+        model = self.problem.model
+        return {d: self.coordinates @ model.rows(d).T for d in model.tangent_directions}
+
+    @property
+    def _rate(self) -> ComplexArray:
+        """``(n_h, 1)`` what a derivative by time multiplies amplitudes by [rad/s]."""
+        return 1j * self.problem.omega * np.array(self.orders)[:, None]
+
+    def law_fields(self, basis: FourierBasis) -> list[tuple]:
+        """What each law reports besides its force, at the samples of ``basis``: ``(law, name -> (n_t, K))``."""
+        system = self.problem.system
+        if not system.laws:
+            return []
+        stride = self._find_stride(basis.samples)
+        often = FourierBasis(basis.orders, stride * basis.samples)
+        motion = system.compliance.motion(self.forces, self.rigid)
+        seen = HarmonicBalance(system).sample(self.forces, motion, often)
+        reported = [law.fields(motion) for motion, law in zip(seen, system.laws, strict=True)]
+        thin = [{name: values[::stride] for name, values in fields.items()} for fields in reported]
+        return list(zip(system.laws, thin, strict=True))
+
+    @cached_property
+    def pair_forces(self) -> Mapping[str, ComplexArray]:
+        """Amplitudes ``(n_h, K_c)`` of the forces at all pairs by direction, bonded and prescribed included [N]."""
+        problem, system, model = self.problem, self.problem.system, self.problem.model
+        directions = ("normal", *model.tangent_directions)
+        found = {d: np.zeros((len(self.orders), model.pairs), dtype=complex) for d in directions}
+        held = []
+        for pairs, laws in problem.groups:
+            for direction in directions:
+                rows = system.row_of(direction, pairs)
+                if np.all(rows >= 0):
+                    found[direction][:, pairs] = self.forces[:, rows]
+                elif any(direction in kind.holds(model.tangents) for kind in laws.kinds):
+                    held.append((direction, pairs))
+        for h, amplitude in system.prescribed.items():
+            if h in self.orders:
+                found["normal"][self.orders.index(h)] += amplitude
+        if held:
+            self._recover_bonds(found, held)
+        return found
+
+    def _recover_bonds(self, found: dict[str, ComplexArray], held: list[tuple[str, np.ndarray]]) -> None:
+        """Forces in bonded pairs: what the equation of motion leaves over."""
+        model = self.problem.model
+        bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
+        for j, h in enumerate(self.orders):
+            w = h * self.problem.omega
+            x = self.coordinates[j]
+            known = [d for d in found if d != "normal" or model.normal is not None]
+            given = self.problem.loads.get(h, 0) + sum(model.rows(d).T @ found[d][j] for d in known)
+            left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x) - given
+            force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
+            start = 0
+            for direction, pairs in held:
+                found[direction][j, pairs] = force[start : start + pairs.size]
+                start += pairs.size

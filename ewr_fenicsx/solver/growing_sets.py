@@ -1,0 +1,75 @@
+"""Growing sets of harmonics, or of samples: what is found with few starts a solve, or a splitting, with more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import count, takewhile
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.problem.harmonics import round_up
+from ewr_fenicsx.solver.splitting import Splitting, come_near, resample
+
+SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
+# Samples a period to begin with, at least, and times the highest harmonic: with fewer, solutions are other ones
+FEW_SAMPLES, FEW_A_HARMONIC = 16, 3
+
+
+def restrict(balance: HarmonicBalance, orders: tuple[int, ...]) -> HarmonicBalance:
+    """The balance with fewer harmonics."""
+    return HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
+
+
+def find_loaded(balance: HarmonicBalance) -> list[int]:
+    """Harmonics with a load."""
+    return [h for h, f in balance.system.load.items() if np.any(f)]
+
+
+def choose_sets(orders: tuple[int, ...], levels: tuple[int, ...], loaded: list[int]) -> list[tuple[int, ...]]:
+    """Growing sets of harmonics up to each of ``levels``, all with the loaded ones, that end with ``orders``."""
+    lowest = max([h for h in loaded if h], default=1)
+    sets = [tuple(h for h in orders if h <= top) for top in levels if lowest <= top and 1.6 * top < orders[-1]]
+    return [s for s in dict.fromkeys(sets) if s and s != (0,)] + [orders]
+
+
+def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: HarmonicBalance):
+    """Forces and rigid coordinates with harmonics added at zero."""
+    forces = np.zeros((len(level.basis.orders), level.rows), dtype=complex)
+    for j, h in enumerate(below.basis.orders):
+        forces[level.basis.orders.index(h)] = found[0][j]
+    return forces, found[1]
+
+
+def choose_samples(balance: HarmonicBalance) -> list[int]:
+    """Growing numbers of samples a period, from the few that harmonics need to those of the balance."""
+    highest, most = max(balance.basis.orders[-1], *balance.system.prescribed, 0), balance.basis.samples
+    few = max(FEW_SAMPLES, round_up(FEW_A_HARMONIC * highest))
+    return [*takewhile(lambda n: n < most, (few << doublings for doublings in count())), most]
+
+
+def sample_anew(balance: HarmonicBalance, samples: int) -> HarmonicBalance:
+    """The balance, of the same unknowns, with its laws seen at so many samples a period."""
+    return HarmonicBalance(balance.system.sample(samples), balance.force_unit)
+
+
+def come_near_through_sets(balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]) -> Iterator[RealArray]:
+    """Unknowns ever nearer a solution, where splittings on ever more harmonics lead that begin as ``begin`` says.
+
+    High harmonics drive bodies far above their modes, where a splitting may not end: what was found with fewer then is
+    the only one.
+    """
+    start = None
+    for orders in choose_sets(balance.basis.orders, SPLIT_LEVELS, find_loaded(balance)):
+        level = balance if orders == balance.basis.orders else restrict(balance, orders)
+        looks = come_near(level, begin)
+        if (found := next(looks, None)) is None:
+            break
+        state, unknowns = found
+        begin, start = partial(resample, state), embed(level.unpack(unknowns), level, balance)
+    if start is not None:
+        yield balance.pack(*start)
+        if level is balance:
+            yield from (unknowns for _, unknowns in looks)

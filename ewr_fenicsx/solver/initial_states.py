@@ -1,0 +1,88 @@
+"""Where a motion in time starts: from rest, from full stick, from a periodic solution or from a state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solver.snes import run_newton
+
+_STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
+REST = 1e-8  # residual of the static solution from which a motion starts
+
+
+def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str | None) -> State:
+    """State at ``tau = 0`` that ``start`` stands for; see ``integrate``.
+
+    Raises:
+        ModelError: An unknown word, no rest was found, or a state of another size than the model's.
+    """
+    if isinstance(start, State):
+        state = start
+    elif start is None or isinstance(start, str):
+        if start not in (None, "rest"):
+            raise ModelError(f'start = "{start}"; {_STARTS}')
+        moves = bool(np.any(problem.clearance > 0)) or is_held_by_friction(problem)
+        at_rest = find_rest(problem) if moves else None
+        if start == "rest" and moves and not at_rest:
+            raise ModelError(f'start = "rest": no static solution of the laws was found; {_STARTS}')
+        found = at_rest or find_full_stick(problem)
+        rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
+        state = rest if at_rest or start == "rest" else state_of(found)
+    elif isinstance(start, PeriodicSolution):
+        state = state_of(start)
+    else:
+        raise ModelError(f"start is of type {type(start).__name__}; {_STARTS}")
+    for name in ("position", "velocity"):
+        value = np.asarray(getattr(state, name), dtype=float)
+        if value.shape != (problem.model.size,) or not np.isfinite(value).all():
+            raise ModelError(f"start: {name} has shape {value.shape}; expected {problem.model.size} finite coordinates")
+    return state
+
+
+def is_held_by_friction(problem: ContactProblem) -> bool:
+    """Whether friction holds pairs against the mean load from the start: no more of it than its limits allow."""
+    return any(law.static_target is not None and law.opposes == "velocity" for law in problem.system.laws)
+
+
+def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
+    """The linear periodic solution in which no pair opens or slips."""
+    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
+    if problem.system.rows.shape[0]:
+        forces, rigid = HarmonicBalance(problem.system).full_stick
+    return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
+
+
+def find_rest(problem: ContactProblem) -> PeriodicSolution | None:
+    """The static solution of the laws under the means of the load and of normal forces that are given, if found."""
+    static = keep_means(problem)
+    balance = HarmonicBalance(static.system)
+    found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
+    if not found.converged:
+        return None
+    return PeriodicSolution(static, *balance.unpack(found.unknowns), True, "at rest", 0, (), found.residual, 0.0, 0)
+
+
+def keep_means(problem: ContactProblem) -> ContactProblem:
+    """The problem without all that oscillates in what is given: loads and prescribed normal forces."""
+    groups = [
+        (pairs, replace(laws, normal_force=laws.normal_force.get(0, 0.0)))
+        if isinstance(laws.normal_force, Mapping)
+        else (pairs, laws)
+        for pairs, laws in problem.groups
+    ]
+    return replace(problem, frequency=0.0, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
+
+
+def state_of(solution: PeriodicSolution) -> State:
+    """State of a periodic solution at ``tau = 0``."""
+    amplitudes = solution.coordinates
+    rate = 1j * solution.problem.omega * np.array(solution.orders)
+    return State(amplitudes.sum(axis=0).real, (rate @ amplitudes).real)

@@ -1,0 +1,325 @@
+"""The ladder: cold starts, and the ways to a solution that Newton's method does not find by itself.
+
+Each function is one way from the full-stick solution to that of a balance, and returns an ``Attempt`` whose iterations
+are all the Newton steps that the way took:
+
+1. ``start_from_splitting``: Newton from where operator splitting ends.
+2. ``climb``: growing sets of harmonics, each started at the one before.
+3. ``step_over_corners``: whole Newton steps from a corner next to a solution.
+4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+
+``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
+``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second, through more sets of harmonics
+where few end next to a solution. ``climb`` takes others along: through more sets, with these where Newton stalls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import FIRM, HarmonicBalance
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.laws.smoothing import round_corners
+from ewr_fenicsx.model.compliance import condense
+from ewr_fenicsx.solver.continuation import BalanceAt, BranchPoint, trace_branch
+from ewr_fenicsx.solver.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
+from ewr_fenicsx.solver.long_splitting import split_at_length
+from ewr_fenicsx.solver.newton_path import can_follow, run_and_follow
+from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
+from ewr_fenicsx.solver.splitting import Splitting, can_split
+from ewr_fenicsx.solver.warm_starts import WARM_STEPS, try_starts
+
+# Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
+# the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
+COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
+FINE_FROM = 9  # highest harmonic from which they are tried after Newton's path: below, time stepping takes fewer steps
+LAST_STEPS = 40  # Newton steps of the last set, after which its path is tried
+COARSE_STEPS = 25  # a coarse set is only a start for the next:
+COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
+FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
+# Residuals at a corner from which whole steps may lead on (less is rounding), and how many: fewer do, or none
+CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
+BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
+BEGUN = 0.15  # share of the way that a branch is taken to have gone at least, where its pace is looked at
+BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
+LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
+LARGEST_DAMPED, DAMPED_POINTS = 500, 400  # the same where damping falls: its branch has more corners, and more points
+# Damping that is added, in turn until a cold start finds a solution: over omega times the mass, plus stiffness over
+# omega. And below which of it a branch is traced in equal steps of the damping, above in those of its logarithm.
+DAMPINGS, LIGHT = (0.1, 3.0, 100.0, 1000.0), 1e-3
+MOST_STEPS = 500  # Newton steps after which no further path is begun
+SHARP = 1e-7  # width of rounded corners, over the mean contact force, that counts as sharp
+BLUNT = 8.0 ** np.arange(5)  # widths in turn, where the rounded branch begins at full stick
+NEAR_WIDTHS = np.array([10.0, 200.0, 4000.0])  # of corners rounded around a failed attempt, over its residual
+LOST = 300.0  # norm of the unknowns, of order one, above which a rounded branch runs to infinity
+BACK = 3.0  # in the logarithm of the width, behind its begin: a branch that turned there to blunt corners is left
+ROUNDED_STEPS = 12  # Newton steps allowed where the rounded branch begins
+SPLIT_STEPS = 25  # Newton steps a run from where it ends: those that arrive take fewer
+
+Rung = Callable[[HarmonicBalance, float, Attempt], Attempt]
+
+
+def start_cold(
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    levels: tuple[int, ...],
+    coarse_tolerance: float,
+    limit: int | None = None,
+) -> Attempt:
+    """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
+
+    Where that ends next to a solution, through more sets of harmonics, stepping over corners.
+
+    ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried. Nor are they where
+    the harmonics are few and Newton's path has led nowhere.
+    """
+    split = start_from_splitting(balance, tolerance, linear_solver)
+    if split.converged or split.walks:
+        return split
+    climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
+    better = climbed if climbed.converged else min(climbed, split)
+    better = replace(better, iterations=split.iterations + climbed.iterations)
+    few = can_follow(balance) and balance.basis.orders[-1] < FINE_FROM
+    if better.converged or better.walks or limit is not None or few or not is_cornered(better):
+        return better
+    rungs = (step_over_corners,)
+    fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, FINE_TOLERANCE, COARSE_STEPS)
+    closer = fine if fine.converged else min(fine, better)
+    return replace(closer, iterations=better.iterations + fine.iterations)
+
+
+def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
+    """The full-stick state as an attempt of no steps."""
+    unknowns = balance.pack(*balance.full_stick)
+    return Attempt(
+        unknowns, float(np.linalg.norm(balance.residual(unknowns))), 0, "nothing is closer than full stick", False
+    )
+
+
+def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
+    """Newton from where a splitting ends, or ever nearer to there; full stick where that is nowhere near a solution."""
+    none = begin_at_full_stick(balance)
+    if none.residual <= tolerance or not can_split(balance):
+        return none
+    starts = ((unknowns, True, 0) for unknowns in come_near_through_sets(balance, Splitting.begin))
+    return try_starts(balance, starts, tolerance, linear_solver, SPLIT_STEPS, run_and_follow) or none
+
+
+def climb(
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    levels: tuple[int, ...],
+    rungs: tuple[Rung, ...] = (),
+    coarse_tolerance: float = COARSE_TOLERANCE,
+    limit: int | None = None,
+    *,
+    all_sets: bool = False,
+) -> Attempt:
+    """Growing sets of harmonics from full stick, each started at the solution of the one before.
+
+    On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
+    are any. In large joints a set on which nothing comes near a solution is the last, unless ``all_sets`` are to be
+    tried: on larger ones steps take long, and hardly any solution is found from there.
+    """
+    below, attempt, steps, held = None, None, 0, None
+    for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
+        last = orders == balance.basis.orders
+        level = balance if last else restrict(balance, orders)
+        guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
+        run, goal, most = run_newton, coarse_tolerance, COARSE_STEPS
+        if last:
+            run, goal, most = run_and_follow, tolerance, limit or (LAST_STEPS if can_follow(level) else None)
+        attempt = run(level, level.pack(*guess), goal, linear_solver, most, near=below is not None)
+        if rungs and below is not None and not attempt.converged:
+            split = split_at_length(level, guess[0], level.compliance.motion(*guess), goal, linear_solver)
+            if split is not None:
+                attempt = replace(min(attempt, split), iterations=attempt.iterations + split.iterations)
+        for rung in rungs:
+            if not attempt.converged and steps + attempt.iterations < MOST_STEPS:
+                attempt = rung(level, goal, attempt)
+        steps += attempt.iterations
+        below = level
+        if attempt.converged:
+            held = orders[-1]
+        elif balance.size > LARGEST_TRACED and attempt.residual > CORNERED[1] and not all_sets:
+            break
+    if level is not balance:
+        unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))
+        attempt = replace(attempt, unknowns=unknowns, residual=float(np.linalg.norm(balance.residual(unknowns))))
+    if not attempt.converged and held:
+        attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
+    return replace(attempt, iterations=steps)
+
+
+def is_cornered(failed: Attempt) -> bool:
+    """Whether an attempt may have stalled at a corner next to a solution."""
+    return CORNERED[0] < failed.residual < CORNERED[1]
+
+
+def step_over_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Newton's method without a line search, from a corner at which it stalled next to a solution.
+
+    The mean friction of a pair that sticks throughout may be far off and leave next to no residual. The step that mends
+    it lets the pair slip: the residual rises by orders of magnitude before it falls, and no line search takes it.
+
+    Returns:
+        The solution, or the ``failed`` attempt; the steps of both counted.
+    """
+    if not is_cornered(failed):
+        return failed
+    unknowns, steps = balance.take_whole_steps(failed.unknowns, WHOLE_STEPS, tolerance)
+    if unknowns is None:
+        return replace(failed, iterations=failed.iterations + steps)
+    found = run_newton(balance, unknowns, tolerance, "elimination", near=True)  # looks whether it walks
+    return replace(found, iterations=failed.iterations + steps + found.iterations)
+
+
+def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Through laws with rounded corners, along the branch of their solutions over the logarithm of the width, to exact.
+
+    The branch begins near the failed attempt, where corners as wide as what it left over hold, or else at full stick
+    with corners as wide as it takes. It is traced past folds, which the rounding moves into view.
+
+    Returns:
+        The solution, or the better of what was found last and the ``failed`` attempt; the steps of both counted.
+    """
+    if balance.size > LARGEST_TRACED:
+        return failed
+    unit = balance.force_unit / np.sqrt(balance.rows)
+
+    def at(logarithm: float) -> HarmonicBalance:
+        width = np.exp(np.clip(logarithm, *np.log((1e-3 * SHARP, 1e3 * BLUNT[-1])))) * unit
+        return HarmonicBalance(round_corners(balance.system, width), balance.force_unit, FIRM)
+
+    near = [w for w in failed.residual * NEAR_WIDTHS if w < 1.0]
+    attempt, steps, width = failed, failed.iterations, np.inf
+    for start, widths in ((failed.unknowns, near), (balance.pack(*balance.full_stick), BLUNT)):
+        begun, taken = _round_until_solved(at, start, widths)
+        steps += taken
+        if begun is None:
+            continue
+        here, goal = begun, min(tolerance, 1e-3 * np.exp(begun.parameter))
+        branch = trace_branch(at, begun, -2.0, step=1.0, smallest_step=1e-6, tolerance=goal)
+        for point in islice(branch, BRANCH_POINTS):
+            steps += point.steps
+            here = point
+            runs_away = here.parameter > begun.parameter + BACK or np.linalg.norm(here.unknowns) > LOST
+            if here.parameter < np.log(SHARP) or runs_away:
+                break
+        attempt, width = run_newton(balance, here.unknowns, tolerance, "elimination"), np.exp(here.parameter)
+        steps += attempt.iterations
+        if attempt.converged:
+            break
+    reached = (
+        f"corners as sharp as {width:.0e} of the contact forces" if width < np.inf else "no corners were blunt enough"
+    )
+    return choose_better(failed, attempt, steps, reached)
+
+
+def _round_until_solved(at: BalanceAt, start: RealArray, widths: Sequence[float]) -> tuple[BranchPoint | None, int]:
+    """The solution with the first of ``widths`` at which Newton finds one from ``start``, and the steps of all."""
+    steps = 0
+    for width in widths:
+        rounded = run_newton(at(np.log(width)), start, 1e-3 * min(width, 1.0), "elimination", ROUNDED_STEPS)
+        steps += rounded.iterations
+        if rounded.converged:
+            return BranchPoint(float(np.log(width)), rounded.unknowns, 0), steps
+    return None, steps
+
+
+def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
+    """Follow the solution from that of a strongly damped model to the model's own damping.
+
+    Bodies that leave each other and bounce have many motions, or none that is easily found. Damping of the deformation
+    alone would leave those of floating bodies as they are: the damping that is added acts on all motion.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    system, omega = balance.system, balance.compliance.omega
+    model, mean = system.model, int(balance.basis.has_mean)  # damping changes nothing of the mean
+    drag = omega * model.mass + model.stiffness / omega
+
+    def damp(added: float, least_share: float) -> HarmonicBalance:
+        damped = replace(model, damping=model.damping + added * drag)
+        moved = condense(damped, system.rows, system.load, omega, balance.basis.orders[mean:])
+        flexibility, motion = balance.compliance.flexibility.copy(), balance.compliance.free_motion.copy()
+        flexibility[mean:], motion[mean:] = moved.flexibility, moved.free_motion
+        compliance = replace(balance.compliance, flexibility=flexibility, free_motion=motion)
+        return HarmonicBalance(replace(system, compliance=compliance), balance.force_unit, least_share)
+
+    steps = failed.iterations
+    for most in DAMPINGS:
+        attempt = start_cold(damp(most, 0.0), tolerance, "elimination", COARSE_LEVELS, COARSE_TOLERANCE)
+        steps += attempt.iterations
+        if attempt.converged:
+            break
+    counted = replace(failed, iterations=steps)
+    if not attempt.converged:
+        return replace(counted, reason="no solution with so much damping either")
+    length = np.log1p(most / LIGHT)
+
+    def at(share: float) -> HarmonicBalance:  # a trial may go anywhere
+        return damp(LIGHT * np.expm1(length * (1 - min(max(share, -0.5), 1.05))), FIRM)
+
+    what = "of the way from strong damping"
+    return follow(balance, at, 0.0, attempt.unknowns, tolerance, counted, what, DAMPED_POINTS)
+
+
+def follow(
+    goal: HarmonicBalance,
+    balance_at: BalanceAt,
+    begin: float,
+    unknowns: RealArray,
+    tolerance: float,
+    failed: Attempt,
+    what: str,
+    points: int = BRANCH_POINTS,
+    pace: float = np.inf,
+) -> Attempt:
+    """Trace a branch by arc length, past folds, from a solution at ``begin`` to the goal at a parameter of one.
+
+    It is left after so many ``points``, or as soon as it would take more Newton steps for the whole way than ``pace``,
+    going on as it has so far.
+
+    Returns:
+        The solution, or the better of the branch's last point and the ``failed`` attempt; the steps of both counted.
+    """
+    here, steps, reach, furthest = BranchPoint(begin, unknowns, 0), failed.iterations, 0.1, BEGUN
+    branch, looks = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance), 0
+    for _ in range(points):
+        slow = steps - failed.iterations > pace * furthest
+        if slow or (point := next(branch, None)) is None:
+            break
+        steps += point.steps
+        furthest = max(furthest, (point.parameter - begin) / (1.0 - begin))
+        if point.parameter < BEHIND:
+            break
+        if point.parameter < 1.0:
+            here = point
+            continue
+        share = (1.0 - here.parameter) / (point.parameter - here.parameter)
+        guess = here.unknowns + share * (point.unknowns - here.unknowns)
+        attempt = run_and_follow(goal, guess, tolerance, "elimination", WARM_STEPS)
+        steps += attempt.iterations
+        looks += 1
+        if attempt.converged or looks > SECOND_LOOKS:
+            return choose_better(failed, attempt, steps, f"traced to {here.parameter:.0%} {what} and beyond")
+        reach *= 0.3  # the last step was too long to interpolate in: again, shorter
+        branch = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance)
+    residual = float(np.linalg.norm(goal.residual(here.unknowns)))
+    last = Attempt(here.unknowns, residual, 0, "", residual <= tolerance)
+    return choose_better(failed, last, steps, f"the branch was lost or too long at {here.parameter:.0%} {what}")
+
+
+def choose_better(failed: Attempt, attempt: Attempt, steps: int, how: str) -> Attempt:
+    """A rung's attempt if it converged, else the better of both; with all Newton steps and how it went."""
+    better = attempt if attempt.converged else min(failed, attempt)
+    return replace(better, iterations=steps, reason=f"{how}: {attempt.reason}" if attempt.reason else how)

@@ -1,0 +1,388 @@
+"""``solve``: a contact problem's periodic solution, from a neighbour's or from cold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import islice
+from numbers import Real
+from reprlib import repr as shorten
+from typing import get_args
+
+import numpy as np
+
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.errors import ModelError, NotConverged, nearest
+from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
+from ewr_fenicsx.solver.growing_load import grow_load, trace_load
+from ewr_fenicsx.solver.ladder import (
+    COARSE_LEVELS,
+    COARSE_TOLERANCE,
+    FINE_LEVELS,
+    LARGEST_DAMPED,
+    LARGEST_TRACED,
+    SPRING_LEVELS,
+    SPRING_TOLERANCE,
+    begin_at_full_stick,
+    climb,
+    sharpen_corners,
+    start_cold,
+    step_over_corners,
+    trace_damping,
+)
+from ewr_fenicsx.solver.long_splitting import split_at_length
+from ewr_fenicsx.solver.newton_path import can_follow
+from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
+from ewr_fenicsx.solver.splitting import are_projections
+from ewr_fenicsx.solver.warm_starts import go_on_from, guide
+from ewr_fenicsx.solver.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
+
+# Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
+TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
+TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
+TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
+TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
+# Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
+APERIODIC, LAST_PERIODS = 0.1, 10
+# Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
+TIGHTEST, LOOSEST = 1e-13, 1e-3
+# Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
+COARSE, ROUNDING = 1e-10, 10.0
+OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
+USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
+GROSS = 1e-2  # residual above which a failed attempt is far from a solution
+ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
+# Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, of all;
+# no more than a share of it where tolerances are loose, or so many times the tolerance
+OWN_SHARE, LOOSE_SHARE, LOOSELY, FAINT = 1e5, 1e-2, 100.0, 1e-12
+LAST_STEPS = 10  # Newton steps to get there
+HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
+# Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces: little tells
+# of it.
+MEAN_SHARE = 100.0
+
+
+def solve(
+    problem: ContactProblem,
+    start: PeriodicSolution | None = None,
+    tolerance: float = 1e-8,
+    *,
+    linear_solver: LinearSolver = "elimination",
+    fallbacks: bool = True,
+    raise_on_failure: bool = True,
+) -> PeriodicSolution:
+    """Periodic solution of a contact problem.
+
+    From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
+    holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
+    harmonics, each starting at the one before; from where a few periods of time stepping end, and a long splitting
+    leads from there; along Newton's path while the oscillating load grows, with few samples a period first; laws with
+    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
+    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
+    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are
+    far from the default ones, are come to from a solution with these, which takes all these rungs and is the answer
+    itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to
+    corner (``newton_path.py``); each factorisation counts as a Newton step.
+
+    Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
+
+    Args:
+        problem: The problem.
+        start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
+        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what
+            they are where gaps stay open and nothing resonates, times three, if that is less; from 1e-13 to 1e-3.
+        linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
+            and leaves it to PETSc's KSP. Both take the same steps.
+        fallbacks: Whether to go on to the next rung where the first one fails: the given start, cold the first climb.
+        raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
+
+    Returns:
+        The solution: motions, contact forces and figures of merit, and how it was found. Its ``problem`` has the
+        default weights and dashpots where none was found with what it asks for; ``fallbacks`` says so.
+
+    Raises:
+        ModelError: ``start`` is no solution, not finite or has another number of pairs, the tolerance is out of
+            bounds, or there is no such ``linear_solver``.
+        NotConverged: No solution was found; carries the best iterate and the rungs tried.
+    """
+    check_problem(problem)
+    if start is not None and not isinstance(start, PeriodicSolution):
+        raise ModelError(f"start = {shorten(start)}; give a solution that solve returned, or None")
+    if start is not None and start.problem.model.pairs != problem.model.pairs:
+        raise ModelError(
+            f"start has {start.problem.model.pairs} pairs, the problem {problem.model.pairs}; give a solution on "
+            "the same joint, or none"
+        )
+    if start is not None and not np.all(np.isfinite(start.forces)):
+        raise ModelError("start has forces that are not finite; give a solution that converged, or none")
+    if linear_solver not in (known := get_args(LinearSolver)):
+        raise ModelError(
+            f"linear_solver = {linear_solver!r}; choose one of {', '.join(known)}{nearest(linear_solver, known)}"
+        )
+    if not (isinstance(tolerance, Real) and TIGHTEST <= tolerance <= LOOSEST):
+        raise ModelError(
+            f"tolerance = {tolerance!r}; give one from {TIGHTEST:g}, below which rounding decides, to {LOOSEST:g}, "
+            "above which even a start may pass for a solution; 1e-8 is usual"
+        )
+    begin = time.perf_counter()
+    asked, problem = problem, leave_out_idle(problem, start)
+    system = problem.system
+    composed = time.perf_counter()
+    balance, best, attempts, tried = None, None, [], []
+    if system.rows.shape[0]:
+        balance = HarmonicBalance(system)
+        rungs = list_rungs(problem, balance, start, tolerance, linear_solver, fallbacks)
+        for name, rung in rungs if fallbacks else islice(rungs, 1):
+            attempts.append(rung(best))
+            tried.append(f"{name}: {attempts[-1].reason}")
+            if attempts[-1].converged or attempts[-1].walks:
+                attempts[-1] = attend_to_faint_forces(balance, attempts[-1], tolerance, linear_solver)
+                break
+            best = min(best or begin_at_full_stick(balance), attempts[-1])
+    if attempts and attempts[-1].usual:
+        asked, problem = use_default_weights(asked), use_default_weights(problem)
+    fell_back = tuple(tried) if len(tried) > 1 or any(told.startswith(USUAL_WAY) for told in tried) else ()
+    end = time.perf_counter()
+    solution = include_idle(wrap(problem, balance, attempts, fell_back, end - begin), asked)
+    iterated = balance is not None and not balance.linear
+    solution = replace(
+        solution, stages={"compose": composed - begin} | ({"newton": end - composed} if iterated else {})
+    )
+    if raise_on_failure and not solution.converged:
+        told = f". Tried: {'; '.join(fell_back)}" if fell_back else ""
+        advice = "" if attempts[-1].walks else list_remedies(solution)
+        raise NotConverged(
+            f"no periodic solution at {problem.frequency:g} Hz: {solution.reason}; residual {solution.residual:.1e} "
+            f"after {solution.iterations} Newton steps{told}{advice}",
+            best=solution,
+        )
+    return solution
+
+
+def list_rungs(
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    start: PeriodicSolution | None,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    fallbacks: bool = True,
+) -> Iterator[tuple[str, Callable[[Attempt | None], Attempt]]]:
+    """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
+
+    The first way has no attempt before it, and takes no ladder unless ``fallbacks`` may follow. An attempt counts its
+    own Newton steps only.
+    """
+    if balance.linear:
+        yield "one linear solve", lambda _: solve_linear(balance, tolerance)
+        return
+    if start is not None:
+        yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
+    own = has_own_weights(problem)
+    levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
+    limit = OWN_STEPS if own and not problem.system.closures else None
+    cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
+    if own:  # the default ones take all rungs that there are
+        given = (problem, balance, start, tolerance, linear_solver)
+        usual = USUAL_WAY, lambda _: leave_default_weights(*given)
+        yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
+        return
+    yield cold
+    yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
+    if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
+        yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
+    if balance.size <= LARGEST_TRACED:
+        yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
+    if problem.frequency and balance.size <= LARGEST_DAMPED:
+        yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
+    rungs = (step_over_corners, sharpen_corners, trace_load)
+    fine = balance, tolerance, linear_solver, FINE_LEVELS, rungs
+    yield "more sets of harmonics", lambda _: climb(*fine, all_sets=True)
+    if balance.size <= LARGEST_TRACED:
+        yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+
+
+def list_remedies(best: PeriodicSolution) -> str:
+    """What a user may try where every way failed, and left this."""
+    problem, residual = best.problem, best.residual
+    left = estimate_rounding(problem)
+    if left > COARSE and residual < ROUNDING * left:
+        return (
+            f". At {problem.frequency:g} Hz floating bodies move by far more than they deform, and rounding alone "
+            f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
+            "this; or allow a larger tolerance"
+        )
+    own = ", ".join(problem.own_kinds)
+    if own and not np.isfinite(residual):
+        return f". Laws return infinities or NaN: look at {own}"
+    if hit := best.list_hit_modes():
+        return f". {hit[0].capitalize()}"
+    last = "integrate(problem) shows whether the motion becomes periodic at all"
+    if own:
+        last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
+    return (
+        ". Try fewer harmonics or more, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
+        f"more damping; {last}"
+    )
+
+
+def estimate_rounding(problem: ContactProblem) -> float:
+    """Residual that the rounding of forces leaves, by the motion that they cause over the deformation that counts."""
+    if problem.model.rigid_modes.shape[1] == 0 or problem.frequency == 0:
+        return 0.0
+    moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
+    return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
+
+
+def start_from_time_stepping(
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    best: Attempt,
+) -> Attempt:
+    """Newton from where some coarse periods of time stepping end, which find their way however hard the contact.
+
+    A long splitting leads on from there. Else two starts are worth trying, unless they are far off: the forces
+    themselves, and a step of the laws linearised at forces and motions.
+    """
+    from ewr_fenicsx.solver.time_integration import integrate  # only for those whom Newton fails
+
+    try:
+        steady = integrate(
+            problem,
+            steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(balance.basis.orders)),
+            periods=TIME_PERIODS,
+            tolerance=TIME_TOLERANCE,
+            theta=TIME_DAMPING,
+            contact_tolerance=TIME_CONTACT,
+            sweeps=TIME_SWEEPS,
+            acceleration=True,
+        )
+    except (ModelError, ImportError) as refusal:
+        return replace(best, iterations=0, reason=str(refusal).removesuffix("; use solve"))
+    forces, motion = steady.contact_amplitudes
+    if not np.all(np.isfinite(forces)):
+        return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")
+    attempt, steps = best, 0
+    if split := split_at_length(balance, forces, motion, tolerance, linear_solver):
+        if split.converged:
+            return split
+        attempt, steps = min(best, split), split.iterations
+    rigid = np.zeros(balance.rigid)
+    if balance.rigid:
+        unmoved = balance.compliance.motion(forces, rigid)[0].real
+        rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
+    starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
+    left = np.array([np.linalg.norm(balance.residual(u)) if np.all(np.isfinite(u)) else np.inf for u in starts])
+    steps, far = steps + 1, ASTRAY if are_projections(balance) else np.inf
+    for i in np.argsort(left)[: np.count_nonzero(left < far)]:
+        found = run_newton(balance, starts[i], tolerance, linear_solver, TIME_NEWTON)
+        steps += found.iterations
+        attempt = min(attempt, found)
+        if found.residual < GROSS:
+            break
+    change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
+    much = f"by {change:.0%}" if change < 1 else "altogether"  # what an extrapolation starts may be far off
+    told = f"from period to period its motion still changes {much} after {steady.periods}"
+    doubtful = not steady.converged and change > APERIODIC
+    return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
+
+
+def attend_to_faint_forces(
+    balance: HarmonicBalance, found: Attempt, tolerance: float, linear_solver: LinearSolver
+) -> Attempt:
+    """What was found, or closer where its residual is small beside all forces, but not beside those of some row.
+
+    As at a lightly loaded joint beside a large preload, which may be left as it was guessed; or where only weak
+    springs, or a small share of itself, decide the mean force of a pair that sticks throughout.
+    """
+    if not found.converged or found.usual:  # what holds with other weights is closer already
+        return found
+    mean = int(balance.basis.has_mean)
+    left, own = (balance.place(at) for at in (balance.residual(found.unknowns), found.unknowns))
+    share = min(OWN_SHARE * tolerance, max(LOOSE_SHARE, LOOSELY * tolerance))
+    least = share * np.maximum(np.linalg.norm(own[mean:], axis=0), FAINT)
+    missed = [least[np.linalg.norm(left[mean:], axis=0) > least]]
+    if mean and np.any(balance.held):
+        springs = balance.static_displacement_row * balance.system.flexibility
+        least = HELD_SHARE * springs * np.maximum(np.linalg.norm(own, axis=0), FAINT)
+        missed.append(least[balance.held & (np.abs(left[0]) > least)])
+    if mean:
+        least = MEAN_SHARE * tolerance * balance.static_row * balance.static_force_row
+        loose = (least > 0) & (np.abs(left[0]) > least)
+        if np.any(loose):
+            missed.append(least[loose & balance.linearise(found.unknowns).steady])
+    goals = np.concatenate(missed)
+    if not goals.size:
+        return found
+    goal = max(TIGHTEST, goals.min())
+    unknowns, taken = balance.take_whole_steps(found.unknowns, LAST_STEPS, goal)  # a line search may take none of them
+    begin = found.unknowns if unknowns is None else unknowns
+    closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
+    steps = found.iterations + taken + closer.iterations
+    return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
+
+
+def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
+    """The solution where no law has a kink or a curve: nothing to iterate on."""
+    unknowns = np.zeros(balance.size)
+    if balance.size:
+        step = balance.linearise(unknowns)
+        try:
+            unknowns = -step.solve(step.residual)
+        except np.linalg.LinAlgError:
+            return Attempt(unknowns, float(np.linalg.norm(step.residual)), 0, "the linear problem is singular", False)
+    residual = float(np.linalg.norm(balance.residual(unknowns)))
+    return Attempt(unknowns, residual, 0, "linear", residual <= tolerance)
+
+
+def leave_default_weights(
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    start: PeriodicSolution | None,
+    tolerance: float,
+    linear_solver: LinearSolver,
+) -> Attempt:
+    """Solve with the default weights, then follow the solution to the problem's own; stay where that leads nowhere."""
+    usual = use_default_weights(problem)
+    solution = solve(usual, start, tolerance, linear_solver=linear_solver, raise_on_failure=False)
+    tried = f" (with these: {'; '.join(solution.fallbacks)})" if solution.fallbacks else ""
+    unknowns = balance.pack(solution.forces, solution.rigid)
+    found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
+    if not found.converged:
+        residual = float(np.linalg.norm(balance.residual(unknowns)))
+        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}{tried}")
+    last = approach_weights(balance, solution, tolerance, linear_solver)
+    last = replace(last, iterations=found.iterations + last.iterations, reason=last.reason + tried)
+    if last.converged:
+        return last
+    return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")
+
+
+def wrap(
+    problem: ContactProblem,
+    balance: HarmonicBalance | None,
+    attempts: list[Attempt],
+    fallbacks: tuple[str, ...],
+    seconds: float,
+) -> PeriodicSolution:
+    """The best attempt as a solution; a problem without a balance is linear and needed none."""
+    best = min(attempts, default=None)
+    forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
+    if best is not None:
+        forces, rigid = balance.unpack(best.unknowns)
+    return PeriodicSolution(
+        problem=problem,
+        forces=forces,
+        rigid=rigid,
+        converged=best is None or best.converged,
+        reason="linear" if best is None else best.reason,
+        iterations=sum(a.iterations for a in attempts),
+        fallbacks=fallbacks,
+        residual=0.0 if best is None else best.residual,
+        seconds=seconds,
+        unknowns=0 if best is None else balance.size,
+    )

@@ -1,0 +1,288 @@
+"""From a scene to its contact problem: mesh, matrices, interface and reduced model, one after the other and timed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from mpi4py import MPI
+
+from ewr_fenicsx.errors import ModelError, SceneError, nearest
+from ewr_fenicsx.laws.contact_laws import ContactLaws, JointLaws
+from ewr_fenicsx.laws.law_kinds import list_parameters
+from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.scene.scene import Scene
+from ewr_fenicsx.scene.scene_joint import Contact
+from ewr_fenicsx.scene.scene_sense import can_wear, doubt_drag, doubt_frequency, doubt_lengths, doubt_modes
+from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
+from ewr_fenicsx.structure import elasticity, materials
+from ewr_fenicsx.structure._compat import measure_compilation
+from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
+from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
+from ewr_fenicsx.structure.mesh import JointMesh, build_mesh, measure_extent
+from ewr_fenicsx.structure.reduction import CraigBampton, reduce_structure
+
+Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
+JIT = "JIT"  # compilation of forms and spaces
+SHOWN = 0.01  # seconds of it that are worth a line on the way
+
+
+@dataclass
+class Stopwatch:
+    """Times named stages and tells a progress display of them; a stage within another one counts for itself alone.
+
+    What dolfinx compiles in any of them is a stage of its own, ``JIT``.
+    """
+
+    progress: Progress | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    _within: tuple[float, float] = (0.0, 0.0)  # of stages inside the current one: spent, and on compilation
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        if self.progress:
+            self.progress(name, None)
+        outer, self._within = self._within, (0.0, 0.0)
+        start, before = time.perf_counter(), measure_compilation()
+        yield
+        spent, compiled = time.perf_counter() - start, measure_compilation() - before
+        inside, compiled_inside = self._within
+        self._within = outer[0] + spent, outer[1] + compiled
+        compiled_here = compiled - compiled_inside
+        own = {name: spent - inside - compiled_here} | ({JIT: compiled_here} if compiled_here else {})
+        self.seconds = add_times(self.seconds, own)
+        for stage, seconds in own.items() if self.progress else ():
+            if stage == name:
+                self.progress(stage, seconds)
+            elif seconds >= SHOWN:
+                self.progress(stage, None)
+                self.progress(stage, seconds)
+
+
+def add_times(*times: Mapping[str, float]) -> dict[str, float]:
+    """Seconds by stage, added up over several mappings."""
+    return {stage: sum(t.get(stage, 0.0) for t in times) for t in times for stage in t}
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh, joint and modes."""
+
+    scene: Scene
+    mesh: JointMesh
+    structure: Structure
+    interface: Interface
+    reduction: CraigBampton
+    seconds: Mapping[str, float]
+    doubts: tuple[str, ...] = ()
+
+
+def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Chain:
+    """Builds mesh, matrices, interface and reduced model of a scene.
+
+    Args:
+        scene: What to build.
+        comm: Ranks that share the mesh; the reduced model is the same on each.
+        progress: Called as ``progress(stage, None)`` when a stage begins and ``progress(stage, seconds)`` when it ends.
+
+    Raises:
+        SceneError: No scene, or one that names a body or boundary that the mesh does not have, or a law that lacks a
+            parameter.
+        MeshError, InterfaceError, ModesError: The geometry does not give a joint that can be solved.
+    """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene = {scene!r}; give a scene as load_scene(path) returns it")
+    check_laws(scene)
+    watch = Stopwatch(progress)
+    with watch.stage("mesh"):
+        mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
+        check_names(scene, mesh)
+        doubts = tuple(doubt_lengths(scene, measure_extent(mesh)))
+    with watch.stage("matrices"):
+        structure = assemble_structure(
+            mesh,
+            materials=_materials(scene, mesh),
+            thickness=scene.elasticity.thickness,
+            plane=scene.elasticity.plane,
+            degree=scene.elasticity.degree,
+            clamp=scene.supports.clamp,
+            damping=_damping(scene),
+            loads=[_load(name, load) for name, load in scene.loads.items()],
+            outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
+        )
+    with watch.stage("interface"):
+        contact = scene.contact
+        interface = pair_interface(
+            structure, contact.flanks, body_a=contact.body_a, body_b=contact.body_b, tolerance=contact.pair_tolerance
+        )
+        joint = interface.flanks, contact.body_a, contact.body_b
+        doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
+    check_flanks(scene, interface)
+    with watch.stage("reduction"):
+        reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
+    modes = reduction.fixed_interface_frequencies
+    doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
+    doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
+    doubts += tuple(doubt_drag(scene, reduction.rigid_drag))
+    return Chain(scene, mesh, structure, interface, reduction, watch.seconds, doubts)
+
+
+def build_reduced_model(scene: Scene) -> ReducedModel:
+    """The reduced model of a scene: matrices, contact rows, loads and outputs.
+
+    Laws, frequency and harmonics stay in the scene: ``pose_problem`` makes a problem of both.
+
+    Args:
+        scene: As ``load_scene`` returns it.
+
+    Raises:
+        EwrError: As ``build_chain``.
+    """
+    return build_chain(scene).reduction.model
+
+
+def pose_problem(scene: Scene, model: ReducedModel, interface: Interface | None = None) -> ContactProblem:
+    """The contact problem that a scene poses on its reduced model.
+
+    Args:
+        scene: The scene.
+        model: Its reduced model.
+        interface: Its pairs; only a scene whose flanks have laws of their own needs it.
+
+    Raises:
+        ModelError: Laws, harmonics or samples do not fit together.
+        SceneError: Flanks have laws of their own and no interface says which pairs are theirs.
+    """
+    solver = scene.solver
+    harmonics = solver.harmonics
+    if solver.accuracy is not None:  # where it begins is not decisive, but loads must have their harmonics
+        harmonics = max(harmonics, *(load.harmonic for load in scene.loads.values()))
+    frequency = next(iter(scene.frequencies), 0.0)
+    return ContactProblem(
+        model,
+        lay_laws(scene, interface),
+        frequency=frequency,
+        harmonics=harmonics if frequency else 0,
+        samples=solver.samples if frequency else None,
+        rho_normal=solver.rho_normal,
+        rho_tangential=solver.rho_tangential,
+        closure=solver.closure,
+    )
+
+
+def lay_laws(scene: Scene, interface: Interface | None = None) -> JointLaws:
+    """The laws of a scene: one for all pairs, or by groups of pairs where flanks have their own.
+
+    Raises:
+        SceneError: As ``pose_problem``.
+    """
+    if not scene.flanks:
+        return _laws(scene.contact)
+    if interface is None:
+        raise SceneError(f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface")
+    groups: dict[str, tuple[ContactLaws, list[int]]] = {}
+    for k, flank in enumerate(interface.flanks):
+        laws = _laws(scene.laws_on(flank))
+        alike = repr(scene.laws_on(flank))
+        groups.setdefault(alike, (laws, []))[1].extend(np.flatnonzero(interface.flank_of_pair == k).tolist())
+    return [(pairs, laws) for laws, pairs in groups.values()]
+
+
+def spread_wear(scene: Scene, interface: Interface) -> np.ndarray:
+    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where nothing wears."""
+    own = {name: flank.wear for name, flank in scene.flanks.items() if flank.wear is not None}
+    usual = scene.wear.coefficient if scene.wear else 0.0
+    of_flank = [own.get(name, usual) if can_wear(scene.laws_on(name)) else 0.0 for name in interface.flanks]
+    return np.array(of_flank)[interface.flank_of_pair]
+
+
+def check_names(scene: Scene, mesh: JointMesh) -> None:
+    """Checks that the mesh has every body and boundary that the scene names.
+
+    Raises:
+        SceneError: Names the scene's key, the name, and the nearest that the mesh has.
+    """
+    contact = scene.contact
+    bodies = {f"materials.{body}": body for body in scene.materials}
+    bodies |= {"contact.body_a": contact.body_a, "contact.body_b": contact.body_b}
+    boundaries = {f"supports.clamp[{k}]": name for k, name in enumerate(scene.supports.clamp)}
+    boundaries |= {f"contact.flanks[{k}]": name for k, name in enumerate(contact.flanks or ())}
+    boundaries |= {
+        f"{table}.{name}.boundary": entry.boundary
+        for table, entries in (("loads", scene.loads), ("outputs", scene.outputs))
+        for name, entry in entries.items()
+        if not isinstance(entry, RotationLoad)
+    }
+    for what, keys, known in (("body", bodies, mesh.bodies), ("boundary", boundaries, mesh.boundaries)):
+        for key, name in keys.items():
+            if name not in known:
+                raise SceneError(
+                    f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
+                    f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{nearest(name, known)}"
+                )
+
+
+def check_laws(scene: Scene) -> None:
+    """Checks that the laws have all their parameters, before a mesh is made for nothing.
+
+    Raises:
+        SceneError: Names the law, what it lacks, and the flank if there are several.
+    """
+    for flank in scene.contact.flanks or tuple(scene.flanks) or ("",):
+        try:
+            _laws(scene.laws_on(flank))
+        except ModelError as error:
+            where = f"flanks.{flank}" if flank in scene.flanks else "contact"
+            raise SceneError(f"{scene.where}: {where}: {error}") from None
+
+
+def check_flanks(scene: Scene, interface: Interface) -> None:
+    """Checks that flanks with laws of their own are flanks of the joint.
+
+    Raises:
+        SceneError: Names the flank and the nearest that the joint has.
+    """
+    for name in scene.flanks:
+        if name not in interface.flanks:
+            raise SceneError(
+                f"{scene.where}: flanks.{name}: the joint has no flank of that name, only "
+                f"{', '.join(interface.flanks)}{nearest(name, interface.flanks)}"
+            )
+
+
+def _laws(joint: Contact) -> ContactLaws:
+    known = {*list_parameters("normal", joint.normal), *list_parameters("tangential", joint.tangential)}
+    return ContactLaws(
+        normal=joint.normal,
+        tangential=joint.tangential,
+        friction=joint.friction,
+        normal_force=joint.normal_force if joint.normal == "prescribed" else None,
+        initial_gap=joint.initial_gap,
+        static_friction=joint.static_friction,
+        parameters={name: value for name, value in joint.parameters.items() if name in known},
+    )
+
+
+def _materials(scene: Scene, mesh: JointMesh) -> dict[str, materials.Material]:
+    stated = {body: scene.materials.get(body, Material()) for body in mesh.bodies}
+    return {body: materials.Material(m.young, m.poisson, m.density) for body, m in stated.items()}
+
+
+def _damping(scene: Scene) -> materials.Damping:
+    damping = scene.damping
+    if isinstance(damping, RayleighDamping):
+        return materials.Rayleigh(damping.alpha, damping.beta)
+    if isinstance(damping, ModalDamping):
+        return materials.PerMode(damping.ratio)
+    return materials.RayleighRatios(damping.frequencies, damping.ratios)
+
+
+def _load(name: str, load) -> elasticity.LoadSpec:
+    if isinstance(load, RotationLoad):
+        return elasticity.CentrifugalForce(name, load.speed * 2 * math.pi / 60, load.centre)
+    return elasticity.EdgeForce(name, load.boundary, load.force, load.harmonic, math.radians(load.phase))

@@ -1,0 +1,45 @@
+"""Edges of two bodies at the same place, face to face, as on the flanks of a joint."""
+
+from __future__ import annotations
+
+import dolfinx
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ewr_fenicsx.structure.mesh import JointMesh
+
+
+def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | None = None) -> tuple[str, ...]:
+    """Names of two bodies that have exterior facets at the same place, face to face; none: ``()``. Collective.
+
+    Args:
+        mesh: With its bodies.
+        facets: Each rank's own, exterior ones.
+        piece: Number of the piece of the mesh that each of them is on, the same on all ranks; facets of one piece do
+            not count, and two pieces may be of the same body, whose name is then there twice. None: a body is a piece.
+    """
+    domain = mesh.domain
+    cells = domain.topology.index_map(2)
+    tags = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    tags[mesh.cell_tags.indices] = mesh.cell_tags.values
+    beside = find_cells_beside(mesh, facets)
+    middle = dolfinx.mesh.compute_midpoints(domain, 1, facets)
+    outward = middle - dolfinx.mesh.compute_midpoints(domain, 2, beside)
+    everyone = domain.comm.allgather((tags[beside], tags[beside] if piece is None else piece, middle, outward))
+    body, piece, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
+    depth = np.linalg.norm(outward, axis=1)
+    for number in np.unique(piece)[1:]:
+        mine, others = np.flatnonzero(piece == number), np.flatnonzero(piece < number)
+        distance, partner = cKDTree(middle[others]).query(middle[mine])
+        there = others[partner]
+        opposed = np.sum(outward[mine] * outward[there], axis=1) < -0.5 * depth[mine] * depth[there]
+        if np.any(meet := opposed & (distance < depth[mine])):  # also across a gap that the mesh has
+            tags_there = body[mine[meet][0]], body[there[meet][0]]
+            return tuple(name for name, tag in mesh.bodies.items() for _ in range(tags_there.count(tag)))
+    return ()
+
+
+def find_cells_beside(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:
+    """Local number of the cell beside each exterior facet."""
+    cells_of = mesh.domain.topology.connectivity(1, 2)
+    return np.array([cells_of.links(f)[0] for f in facets], dtype=np.int32)

@@ -1,0 +1,315 @@
+"""The joint: which nodes of the two bodies face each other, in which frame, and how far they part.
+
+Flanks are found by name, pairs by coordinates, globally: the two sides of a flank may live on different MPI ranks.
+Every rank holds the same interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+
+import dolfinx
+import numpy as np
+import scipy.sparse
+from scipy.spatial import cKDTree
+
+from ewr_fenicsx.errors import InterfaceError, nearest
+from ewr_fenicsx.structure import elasticity, facing
+
+SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Pairs of nodes, ordered by flank and then along the flank's tangent, wherever that turns.
+
+    Attributes:
+        flanks: Names.
+        flank_of_pair: Index into ``flanks``, ``(K_c,)``.
+        position: ``(K_c, 2)`` [m].
+        normal: Outward unit normal of body A, ``(K_c, 2)``.
+        tangent: The normal turned by +90 degrees, ``(K_c, 2)``.
+        area: Tributary area, integral of the node's shape function times the thickness, ``(K_c,)`` [m^2].
+        nodes_a: Global node numbers on body A, ``(K_c,)``.
+        nodes_b: Global node numbers on body B, ``(K_c,)``.
+        normal_gap: ``(K_c, all dofs)``: ``q_N = normal_gap @ u = (u_b - u_a).n``, opening is positive.
+        tangential_slip: ``(K_c, all dofs)``: ``q_T = tangential_slip @ u = (u_a - u_b).t``.
+    """
+
+    flanks: tuple[str, ...]
+    flank_of_pair: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+    area: np.ndarray
+    nodes_a: np.ndarray
+    nodes_b: np.ndarray
+    normal_gap: scipy.sparse.csr_matrix
+    tangential_slip: scipy.sparse.csr_matrix
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The nodes of one body on one flank, gathered on every rank."""
+
+    nodes: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    area: np.ndarray
+    turn: np.ndarray  # angle between the edges that meet at each node [degree]
+
+    def take(self, nodes: np.ndarray) -> _Side:
+        """Some of the nodes, in an order of one's own."""
+        return _Side(*(getattr(self, entry.name)[nodes] for entry in fields(self)))
+
+
+def pair_interface(
+    structure: elasticity.Structure,
+    flanks: Sequence[str] | None = None,
+    body_a: str = "blade",
+    body_b: str = "disk",
+    tolerance: float = 1e-6,
+) -> Interface:
+    """Pairs the nodes of two bodies across their flanks.
+
+    Args:
+        structure: Of the mesh that holds both bodies.
+        flanks: Names of the boundaries that hold the curves of both sides; None: all that touch both bodies.
+        body_a: The body on which the normals point outward.
+        body_b: The other one.
+        tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
+
+    Raises:
+        InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
+            tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
+            that has both bodies on the same side.
+    """
+    mesh = structure.mesh
+    for body in (body_a, body_b):
+        if body not in mesh.bodies:
+            raise InterfaceError(
+                f'no body named "{body}"; there are {", ".join(mesh.bodies)}{nearest(body, mesh.bodies)}'
+            )
+    if body_a == body_b:
+        raise InterfaceError(f'both sides of the joint are on the same body, "{body_a}"; name two')
+    for flank in flanks or ():
+        if flank not in mesh.boundaries:
+            raise InterfaceError(
+                f'no flank named "{flank}"; there are {", ".join(mesh.boundaries)}{nearest(flank, mesh.boundaries)}'
+            )
+    # ranks must go through the same collective calls in the same order
+    sides = {
+        name: tuple(_gather_side(structure, name, body) for body in (body_a, body_b))
+        for name in (sorted(mesh.boundaries) if flanks is None else flanks)
+    }
+    if flanks is None:
+        sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
+        if not sides:
+            raise InterfaceError(
+                f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
+                "group that holds the curves of both bodies"
+            )
+    names = tuple(sides)
+    paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
+    for name, (a, b) in zip(names, paired, strict=True):
+        _check_smooth(name, a)
+        _check_opposed(name, a, b, body_a, body_b)
+    flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
+    nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
+    _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
+    normal = np.concatenate([a.normal for a, _ in paired])
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    size = structure.mass.getSize()[0]
+    return Interface(
+        names,
+        flank_of_pair,
+        np.concatenate([a.position for a, _ in paired]),
+        normal,
+        tangent,
+        np.concatenate([a.area for a, _ in paired]),
+        nodes_a,
+        nodes_b,
+        _relative_motion(nodes_b, nodes_a, normal, size),
+        _relative_motion(nodes_a, nodes_b, tangent, size),
+    )
+
+
+def doubt_boundaries(
+    structure: elasticity.Structure, flanks: Sequence[str], body_a: str, body_b: str, held: Sequence[str] = ()
+) -> Iterator[str]:
+    """What is probably not meant by boundaries on which bodies lie face to face and no contact is: a sentence each.
+
+    Pieces of the mesh that are joined by shared nodes anywhere do not count. Collective.
+
+    Args:
+        structure: Of the mesh that holds the boundaries.
+        flanks: Names of those that are in contact.
+        body_a: One body of the joint.
+        body_b: The other one.
+        held: Names of those that are clamped.
+    """
+    mesh, space = structure.mesh, structure.space
+    mesh.domain.topology.create_connectivity(1, 2)
+    outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
+    for name in sorted(set(mesh.boundaries) - {*flanks, *held}):
+        facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
+        nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
+        bodies = facing.find_facing_bodies(mesh, facets, structure.part[elasticity.local_to_global(space, nodes)])
+        if bodies:
+            whose = " and ".join(bodies) if len(set(bodies)) == 2 else f"two pieces of {bodies[0]}"
+            yield (
+                f'boundary "{name}" holds curves of {whose}, which lie face to face and do not touch each other in '
+                f"this model: a joint is between {body_a} and {body_b}, on {', '.join(flanks)}; if they should touch, "
+                f"{_tell_how_to_touch(bodies, body_a, body_b)}; if they are glued, let them share nodes"
+            )
+
+
+def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:
+    """What makes a flank of a boundary that holds curves of two bodies, which may be of one name."""
+    if set(bodies) == {body_a, body_b}:
+        return "name it in contact.flanks"
+    strangers = set(bodies) - {body_a, body_b}
+    if len(set(bodies)) == 2 and len(strangers) == 1:
+        other = body_b if body_a in bodies else body_a
+        return f"make {strangers.pop()} a part of {other}"
+    return f"make one of them a part of {body_a}, the other of {body_b}"
+
+
+def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Side:
+    """The nodes of one body on one boundary, from all ranks, in no particular order (but the same everywhere)."""
+    mesh, space = structure.mesh, structure.space
+    domain = mesh.domain
+    facets = elasticity.boundary_facets(mesh, flank)
+    domain.topology.create_connectivity(1, 2)
+    cells_of = domain.topology.connectivity(1, 2)
+    tag = mesh.bodies[body]
+    cells = domain.topology.index_map(2)
+    in_body = np.zeros(cells.size_local + cells.num_ghosts, dtype=bool)
+    in_body[mesh.cell_tags.find(tag)] = True
+    mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
+
+    length = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2]
+    normal = elasticity.integrate_over_edge(space, mine).array.reshape(-1, 2)
+    turn = _measure_turn(length, normal, elasticity.integrate_squared_normal(space, mine).array.reshape(-1, 2))
+    local = dolfinx.fem.locate_dofs_topological(space, 1, mine)
+    local = np.unique(local[local < space.dofmap.index_map.size_local])
+    columns = (
+        elasticity.local_to_global(space, local),
+        space.tabulate_dof_coordinates()[local, :2],
+        normal[local],
+        length[local] * structure.thickness,
+        turn[local],
+    )
+    nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
+
+
+def _measure_turn(length: np.ndarray, normal: np.ndarray, squared: np.ndarray) -> np.ndarray:
+    """Angle between the normals of the two edges that meet at each node, however long each is, ``(n,)`` [degree].
+
+    Args:
+        length: ``integral N ds``, ``(n,)`` [m].
+        normal: ``integral N n ds``, ``(n, 2)`` [m].
+        squared: ``integral N n_x n ds``, ``(n, 2)`` [m].
+
+    With shares ``w`` and ``1 - w`` of two normals at an angle ``t``, their mean is shorter than one:
+    ``1 - |mean|^2 = 2 w (1 - w) (1 - cos t)``. The mean of ``n n^T`` has the determinant ``w (1 - w) sin^2 t``.
+    """
+    share = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    missing = 1 - ((normal * share[:, None]) ** 2).sum(axis=1)
+    xx, xy = (squared * share[:, None]).T
+    determinant = xx * (1 - xx) - xy**2
+    bent = (missing > 0.01) & (length > 0)  # less: straight to rounding, or curved inside an edge
+    cosine = np.divide(2 * determinant, missing, out=np.full_like(length, 2.0), where=bent) - 1
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
+    """Both sides of a flank, ordered along the tangent of A, node by node."""
+    shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
+    if len(shared):
+        raise InterfaceError(
+            f'flank "{name}": {body_a} and {body_b} share {len(shared)} nodes, e.g. at '
+            f"{_tell_place(a.position[shared[0]])}; coincident nodes of a joint must stay distinct"
+        )
+    if len(a.nodes) != len(b.nodes) or not len(a.nodes):
+        remedy = "give both curves the same transfinite count"
+        if not (len(a.nodes) and len(b.nodes)):
+            remedy = "a flank has curves of both bodies: name one in contact.flanks, or leave that out for all"
+        raise InterfaceError(
+            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}'
+        )
+    order = _follow_tangent(a)
+    length = np.linalg.norm(np.ptp(a.position, axis=0))
+    distance, partner = cKDTree(b.position).query(a.position[order])
+    worst = int(np.argmax(distance))
+    if distance[worst] > tolerance * length or len(set(partner)) != len(partner):
+        raise InterfaceError(
+            f'flank "{name}": the {body_a} node at {_tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
+            f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
+            "the same end points and the same transfinite spacing"
+        )
+    return a.take(order), b.take(partner)
+
+
+def _check_smooth(name: str, side: _Side) -> None:
+    k = int(np.argmax(side.turn))
+    if side.turn[k] > SHARPEST:
+        raise InterfaceError(
+            f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {_tell_place(side.position[k])}: a pair '
+            f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
+            "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
+        )
+
+
+def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> None:
+    alike = np.flatnonzero(np.sum(a.normal * b.normal, axis=1) > -0.5)
+    if len(alike):
+        raise InterfaceError(
+            f'flank "{name}": {body_a} and {body_b} lie on the same side of it at {_tell_place(a.position[alike[0]])}: '
+            "they overlap there, and neither could press on the other; draw the bodies on either side of their flank"
+        )
+
+
+def _tell_place(position: np.ndarray) -> str:
+    x, y = np.round(position, 12) + 0.0  # without the minus of -0
+    return f"({x:.6g}, {y:.6g}) m"
+
+
+def _follow_tangent(side: _Side) -> np.ndarray:
+    """Nodes of a side one after the other along its tangent, wherever that turns, as round a bore."""
+    mean = side.normal.mean(axis=0)
+    if np.linalg.norm(mean) < 1e-6:  # a closed curve, or opposite faces: begin at the lowest node
+        mean = np.array([1.0, 0.0])
+    along = side.position @ np.array([-mean[1], mean[0]])
+    first = np.lexsort([side.position[:, 0], np.round(along / np.ptp(side.position, axis=0).max(), 9)])[0]
+    order, left = [first], np.delete(np.arange(len(along)), first)
+    while len(left):
+        step = side.position[left] - side.position[order[-1]]
+        x, y = side.normal[order[-1]]
+        nearest_ahead = np.argmin(2 * np.linalg.norm(step, axis=1) - step @ np.array([-y, x]))
+        order.append(left[nearest_ahead])
+        left = np.delete(left, nearest_ahead)
+    return np.array(order)
+
+
+def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:
+    for nodes in (nodes_a, nodes_b):
+        _, first, count = np.unique(nodes, return_index=True, return_counts=True)
+        if (count > 1).any():
+            k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2]
+            raise InterfaceError(
+                f'flanks "{names[flank_of_pair[k]]}" and "{names[flank_of_pair[other]]}" share the node '
+                f"at {_tell_place(position[k])}; leave a gap between them, or, "
+                "where they go on without a corner, make them one flank"
+            )
+
+
+def _relative_motion(plus: np.ndarray, minus: np.ndarray, axis: np.ndarray, size: int) -> scipy.sparse.csr_matrix:
+    """Rows ``(u_plus - u_minus) . axis``."""
+    pairs = np.repeat(np.arange(len(plus)), 4)
+    columns = np.stack([2 * plus, 2 * plus + 1, 2 * minus, 2 * minus + 1], axis=1).ravel()
+    values = np.concatenate([axis, -axis], axis=1).ravel()
+    return scipy.sparse.csr_matrix((values, (pairs, columns)), shape=(len(plus), size))

@@ -1,0 +1,223 @@
+"""Eigenpairs of sparse matrices by SLEPc, each with its residual checked; modes of the structure built on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from ewr_fenicsx.errors import ModesError
+from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect
+from ewr_fenicsx.structure.interface import Interface
+
+LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigenpairs of ``K phi = omega^2 M phi``, mass-normalised, by rising frequency.
+
+    Attributes:
+        frequency: ``(m,)`` [Hz]; negative where rounding gives a rigid-body mode a negative eigenvalue.
+        vectors: Distributed like the matrices.
+        residual: ``|K phi - omega^2 M phi| / (s |M phi|)`` with ``s`` the larger of ``omega^2`` and its distance from
+            the shift, ``(m,)``.
+    """
+
+    frequency: np.ndarray
+    vectors: list[PETSc.Vec]
+    residual: np.ndarray
+
+
+def solve_modes(
+    stiffness: PETSc.Mat,
+    mass: PETSc.Mat,
+    count: int,
+    *,
+    shift: float = 0.0,
+    known: Sequence[PETSc.Vec] = (),
+) -> Modes:
+    """The modes with eigenvalues nearest to a shift, by shift-invert Krylov-Schur.
+
+    Args:
+        stiffness: Symmetric, sparse [N/m].
+        mass: Symmetric positive definite, sparse [kg].
+        count: How many.
+        shift: Eigenvalue [rad^2/s^2] near which to look; a singular stiffness needs one below zero.
+        known: Modes that are not looked for again.
+
+    Raises:
+        ModesError: Fewer modes than asked for, a residual above ``LARGEST_RESIDUAL``, or a singular stiffness with no
+            shift.
+        MemoryError: The factors do not fit into memory.
+    """
+    size = stiffness.getSize()[0]
+    if not 0 < count <= size - len(known):
+        besides = f" besides {len(known)}" if known else ""
+        raise ModesError(
+            f"{count} modes asked for{besides}; the matrices have {size} degrees of freedom, "
+            f"give 1 to {size - len(known)}"
+        )
+    solver = SLEPc.EPS().create(stiffness.comm)
+    solver.setOperators(stiffness, mass)
+    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    solver.setTarget(shift)
+    solver.setTolerances(1e-2 * LARGEST_RESIDUAL, 300)
+    solver.setDimensions(count, min(size - len(known), max(2 * count, count + 20)))
+    if known:
+        solver.setDeflationSpace(list(known))
+    transform = solver.getST()
+    transform.setType(SLEPc.ST.Type.SINVERT)
+    use_mumps(transform.getKSP())
+    try:
+        with finding_memory(size):
+            solver.solve()
+    except PETSc.Error as error:
+        raise ModesError(
+            f"cannot factorise K - sigma M at sigma = {shift:g} rad^2/s^2: is the stiffness singular (a body "
+            "that floats) with a shift of zero?"
+        ) from error
+    found = solver.getConverged()
+    if found < count:
+        raise ModesError(
+            f"{found} of {count} modes converged near sigma = {shift:g} rad^2/s^2 in {size} degrees of "
+            "freedom; ask for fewer"
+        )
+    values = np.array([solver.getEigenvalue(k).real for k in range(found)])
+    nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
+    nearest = nearest[np.argsort(values[nearest], kind="stable")]
+    pairs = []
+    for k in nearest:
+        vector = stiffness.createVecRight()
+        solver.getEigenvector(k, vector)
+        pairs.append(_normalise(stiffness, mass, vector, shift))
+    solver.destroy()
+    frequency, vectors, residual, rounding = zip(*pairs, strict=True)
+    modes = Modes(np.array(frequency), list(vectors), np.array(residual))
+    if max(rounding) > 0.01:
+        raise ModesError(
+            f"mode {np.argmax(rounding) + 1} is lost in rounding, too close to sigma = {shift:g} rad^2/s^2: a body "
+            "floats and the stiffness is singular, or one is far softer than another; clamp the body (in Python: or "
+            "give a shift below zero), or see the Young's moduli [Pa]"
+        )
+    # in fine meshes the forces that cancel in K phi are so large that their rounding alone passes any fixed tolerance
+    excess = modes.residual / np.maximum(LARGEST_RESIDUAL, rounding)
+    worst = int(np.argmax(excess))
+    if not excess[worst] <= 1:
+        raise ModesError(
+            f"mode {worst + 1} at {frequency[worst]:.6g} Hz has a relative residual of "
+            f"{residual[worst]:.2g}, allowed is {max(LARGEST_RESIDUAL, rounding[worst]):.2g}; "
+            "ask for fewer modes"
+        )
+    return modes
+
+
+def full_stick_modes(structure: Structure, interface: Interface, count: int) -> Modes:
+    """Modes of the whole joint with every pair bonded, the clamped boundary held; vectors on all degrees of freedom.
+
+    The rigid-body modes of what nothing clamps, not even through the joint, come first.
+
+    Raises:
+        ModesError: As ``solve_modes``.
+    """
+    tie = tie_pairs(structure, interface)
+    stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
+    part = structure.part
+    bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
+    fixed = np.concatenate(structure.mass.comm.tompi4py().allgather(structure.fixed_dofs))
+    clamped = np.isin(bonded, bonded[part[fixed // 2]]).all()
+    # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
+    shift = 0.0 if clamped else -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum()
+    modes = solve_modes(stiffness, mass, count, shift=shift)
+    vectors = []
+    for reduced in modes.vectors:
+        full = structure.mass.createVecLeft()
+        tie.mult(reduced, full)
+        vectors.append(full)
+    return Modes(modes.frequency, vectors, modes.residual)
+
+
+def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
+    """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and the clamped boundary does not move."""
+    comm = structure.mass.comm.tompi4py()
+    first, last = structure.mass.getOwnershipRange()
+    follower = (2 * interface.nodes_b[:, None] + np.arange(2)).ravel()
+    leader = (2 * interface.nodes_a[:, None] + np.arange(2)).ravel()
+    fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
+    # a pair with one clamped node is clamped
+    held = np.union1d(fixed, leader[np.isin(follower, fixed)])
+    kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
+    start = comm.exscan(len(kept)) or 0
+    columns = np.concatenate(comm.allgather(kept))
+    tie = PETSc.Mat().createAIJ(((last - first, None), (len(kept), None)), nnz=1, comm=structure.mass.comm)
+    for k, row in enumerate(kept):
+        tie.setValue(row, start + k, 1.0)
+    position = {int(dof): k for k, dof in enumerate(columns)} if comm.size > 1 else None
+    for row, to in zip(follower, leader, strict=True):
+        if first <= row < last and not np.isin(to, held):
+            tie.setValue(row, position[int(to)] if position is not None else np.searchsorted(kept, to), 1.0)
+    tie.assemble()
+    return tie
+
+
+def find_floating_parts(structure: Structure, interface: Interface) -> tuple[np.ndarray, np.ndarray]:
+    """Parts that contact alone holds, and the part of each node ``(all nodes,)``; collective.
+
+    Raises:
+        ModesError: A part is neither clamped nor in contact; names its bodies.
+    """
+    comm, part = structure.mass.comm.tompi4py(), structure.part
+    clamped = part[np.concatenate(comm.allgather(structure.fixed_dofs // 2))]
+    touching = part[np.concatenate([interface.nodes_a, interface.nodes_b])]
+    loose = np.setdiff1d(part, np.concatenate([clamped, touching]))
+    nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}
+    if names := [f'"{body}"' for body, of_body in nodes.items() if np.isin(part[of_body], loose).any()]:
+        raise ModesError(
+            f"nothing holds {' and '.join(names)}, or a piece of it: no node of it is clamped or in contact; clamp it, "
+            "let it share nodes with what is held, or leave it out"
+        )
+    return np.setdiff1d(touching, clamped), part
+
+
+def use_mumps(solver: PETSc.KSP) -> None:
+    """Makes a Krylov solver a direct one."""
+    solver.setType(PETSc.KSP.Type.PREONLY)
+    solver.getPC().setType(PETSc.PC.Type.LU)
+    solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+
+
+@contextmanager
+def finding_memory(size: int) -> Iterator[None]:
+    """Around a factorisation of ``size`` rows: tells a lack of memory from a singular matrix.
+
+    Raises:
+        MemoryError: MUMPS could not allocate what it needs.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        if "INFOG(1)=-13" in str(error):
+            raise MemoryError(f"the factors of a matrix of {size} rows do not fit") from error
+        raise
+
+
+def _normalise(
+    stiffness: PETSc.Mat, mass: PETSc.Mat, vector: PETSc.Vec, shift: float
+) -> tuple[float, PETSc.Vec, float, float]:
+    """Frequency [Hz] by the Rayleigh quotient, mass-normalised vector, relative residual, and its rounding."""
+    inertia = mass * vector
+    scale = 1 / math.sqrt(vector.dot(inertia))
+    vector.scale(scale)
+    inertia.scale(scale)
+    force = stiffness * vector
+    value = vector.dot(force)
+    force.axpy(-value, inertia)
+    size = max(abs(value), abs(value - shift)) * inertia.norm()
+    rounding = np.finfo(float).eps * stiffness.norm(PETSc.NormType.INFINITY) * vector.norm() / size
+    return math.copysign(math.sqrt(abs(value)), value) / (2 * math.pi), vector, force.norm() / size, rounding

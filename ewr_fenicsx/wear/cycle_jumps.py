@@ -1,0 +1,214 @@
+"""The slow time of wear: cycle by cycle, or in jumps over many cycles whose error is measured.
+
+Every cycle is solved, or the slow time is crossed in jumps: an embedded pair of orders one and two measures the error
+of a jump and chooses the next. Explicit jumps are Euler's and Heun's, and stay below the limit of stability that
+contact stiffness sets. Damped jumps know that stiffness and have no limit: the pair of Verwer, which is Euler's and
+Heun's where the stiffness is zero. A jump of one cycle is the cycle itself, so that jumps tend to the every-cycle run.
+
+Source: Verwer et al. (1999), doi:10.1137/S1064827597326651, for ROS2, of order two with any Jacobian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
+from ewr_fenicsx.given import RealArray, is_positive, is_whole
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.response.following import solve_from
+from ewr_fenicsx.solver.newton import solve
+from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
+from ewr_fenicsx.wear.wear_accuracy import AccurateWear
+from ewr_fenicsx.wear.wear_store import WearState, WearStep
+
+SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
+GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
+CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
+REMEDY = "lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)"  # of too much in a cycle
+GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Error control of cycle jumps: how far the worn depth may be off at the end.
+
+    A jump over a fraction f of all cycles may be off by sqrt(f) times this, as estimated by the first-order member of
+    the pair. Such errors may add up to more than the tolerance, but the second-order member, which is the one kept, is
+    off by far less.
+
+    Args:
+        depth: Largest error [m]; None: ``share`` says it.
+        share: Largest error where ``depth`` is None, over the deepest wear that is expected at the end.
+        first: The first jump to try [cycles].
+        damped: Whether jumps are damped, and so stable at any length; else they are explicit, and kept below the limit
+            of stability.
+
+    Raises:
+        ModelError: A tolerance or jump that is not positive.
+    """
+
+    depth: float | None = None
+    share: float = 0.01
+    first: int = 2
+    damped: bool = True
+
+    def __post_init__(self) -> None:
+        fits = is_positive(self.share) and self.share < 1 and (self.depth is None or is_positive(self.depth))
+        if not (fits and is_whole(self.first, 1)):
+            raise ModelError(
+                f"{self}; depth and share must be positive, share below 1, first a whole number of at least 1 cycle"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class WearRun:
+    """One wear calculation, from any of its states to the next.
+
+    Args:
+        problem: The joint at the start.
+        cycles: Number of cycles to follow.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+        jump: Error control of jumps; None: every cycle is solved.
+        keep_every: Steps are kept at least so many cycles apart.
+        deepest: Stop where some pair has worn deeper than this [m]; None: nowhere.
+        tolerance: As in ``solve``.
+        judge: Where an accuracy is asked for: what solves the first step, and looks at each that is kept.
+    """
+
+    problem: ContactProblem
+    cycles: int
+    coefficient: RealArray
+    jump: Tolerance | None
+    keep_every: int
+    deepest: float | None
+    tolerance: float
+    judge: AccurateWear | None
+
+    def begin(self) -> WearState:
+        """The first state: the joint as it is given.
+
+        Raises:
+            NotConverged, UnheldBody: It has no solution.
+        """
+        depth = np.zeros(self.problem.model.pairs) if self.problem.wear is None else np.array(self.problem.wear)
+        if self.judge:
+            first = self.judge.begin(depth)
+        else:
+            solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
+            first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
+        return WearState(first, None, self.jump.first if self.jump else 1, 1, 0, (first,), None)
+
+    def go_on(self, state: WearState) -> Iterator[WearState]:
+        """The states after a state, one a step, to the end."""
+        while not self.is_done(state):
+            state = self.advance(state)
+            yield state
+
+    def is_done(self, state: WearState) -> bool:
+        """Whether no step follows on a state."""
+        return state.stopped is not None or state.latest.cycle >= self.cycles
+
+    def advance(self, state: WearState) -> WearState:
+        """The state one cycle or jump later, or why there is none."""
+        here, limit, decay = state.latest, np.inf, None
+        if self.jump or here.cycle % CHECK_EVERY == 0:
+            decay = find_wear_stiffness(here.solution, self.coefficient)
+            limit = find_explicit_limit(decay)
+        if limit < 1 and not (self.jump and self.jump.damped):
+            return self._stop(
+                state,
+                f"one cycle wears more than contact can follow (stable up to {limit:.2g} cycles): the two time scales "
+                f"are one here; {REMEDY}",
+            )
+        solves, length, growth = 0, 1, GROWTH
+        if self.jump:
+            cap = np.inf if self.jump.damped else SAFETY * limit
+            length = int(max(1, min(state.jump, cap, self.cycles - here.cycle)))
+        while True:
+            solves += 1
+            try:
+                if length == 1 and limit >= 1:
+                    ahead, room = self._solve(here, state.earlier, here.depth + here.rate, 1, fallbacks=True), np.inf
+                    break
+                trial, worn, room = self._try_jump(state, length, decay)
+                if room >= 1 or length == 1:
+                    solves += 1
+                    ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0, fallbacks=length == 1)
+                    break
+                length = max(1, int(min(0.5, SAFETY * np.sqrt(room)) * length))
+            except (NotConverged, UnheldBody) as failure:
+                if length == 1:
+                    unheld = isinstance(failure, UnheldBody)
+                    why = f"the joint no longer carries its load: {failure}" if unheld else str(failure)
+                    return self._stop(replace(state, solves=state.solves + solves), why)
+                length, growth = max(1, length // 4), 1.0
+        following = 1
+        if self.jump:
+            free = min(growth, SAFETY * np.sqrt(room))
+            following = max(1, int(free * length), length + 1 if free > 1 else 1)
+        rough = state.rough + int(room < 1)
+        return self._keep(replace(state, jump=following, solves=state.solves + solves, rough=rough), ahead)
+
+    def _try_jump(self, state: WearState, length: int, decay: RealArray) -> tuple[WearStep, RealArray, float]:
+        """The step after a jump of first order, the depth of second order ``(K_c,)`` [m], and the room there is.
+
+        Room is the error that is allowed over the one that was made. Where it is less than one, the depth is that of
+        the linearly implicit Euler rule, for a single cycle: what the pair wears too deep would stay so.
+        """
+        here, one = state.latest, np.eye(len(decay))
+        damping = one + (GAMMA if self.jump.damped else 0.0) * length * decay
+        first = np.linalg.solve(damping, here.rate)
+        depth = np.maximum(here.depth + length * first, 0.0)
+        trial = self._solve(here, state.earlier, depth, length, fallbacks=length == 1)
+        second = np.linalg.solve(damping, trial.rate - 2 * first)
+        error, allowed = 0.5 * length * float(np.abs(first + second).max()), self._allowed(here, length, decay)
+        if error > allowed:
+            return trial, here.depth + np.linalg.solve(one + decay, here.rate), allowed / error
+        # the sum over so many cycles, which is half a cycle's change less than the integral
+        change = np.linalg.solve(damping, np.linalg.solve(damping, trial.rate - here.rate))
+        worn = here.depth + length * (1.5 * first + 0.5 * second) - 0.5 * change
+        return trial, worn, allowed / error if error else np.inf
+
+    def _keep(self, state: WearState, ahead: WearStep) -> WearState:
+        """The state with one more step, which is among those kept where it is its turn."""
+        here = state.latest
+        kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
+        if kept and self.judge:
+            ahead = self.judge.look_at(ahead)
+        earlier = here if ahead.solution.orders == here.solution.orders else None  # nothing to extrapolate from
+        state = replace(state, latest=ahead, earlier=earlier)
+        if self.deepest is not None and ahead.depth.max() > self.deepest:
+            pair = int(ahead.depth.argmax())
+            return self._stop(
+                state, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m"
+            )
+        return replace(state, steps=(*state.steps, ahead)) if kept else state
+
+    def _stop(self, state: WearState, why: str) -> WearState:
+        steps = state.steps if state.steps[-1].cycle == state.latest.cycle else (*state.steps, state.latest)
+        return replace(state, steps=steps, stopped=f"after {state.latest.cycle} cycles: {why}")
+
+    def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
+        part = np.sqrt(length / self.cycles)
+        if self.jump.depth is not None:
+            return part * self.jump.depth
+        left = self.cycles - here.cycle
+        further = np.linalg.solve(np.eye(len(decay)) + left * decay, left * here.rate)  # it evens out on the way
+        return part * self.jump.share * float((here.depth + further).max())
+
+    def _solve(
+        self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int, *, fallbacks: bool
+    ) -> WearStep:
+        """The step so many cycles later with a worn depth; without ``fallbacks`` a shorter jump is the remedy."""
+        problem = replace(latest.solution.problem, wear=depth)
+        ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
+        before = earlier.solution if earlier else None
+        solution = solve_from(problem, latest.solution, before, ratio, self.tolerance)
+        if not solution.converged:
+            if not fallbacks:
+                raise NotConverged(f"no solution near that before the jump: {solution.reason}", best=solution)
+            solution = solve(problem, latest.solution, self.tolerance)
+        return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)

@@ -1,0 +1,263 @@
+"""``evolve_wear``: fretting wear over many cycles, on two time scales.
+
+Within a cycle the gap is constant; after it, the gap of each pair has grown by Archard's law (``archard.py``). How the
+slow time is crossed, cycle by cycle or in jumps, says ``cycle_jumps.py``.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from inspect import signature
+from pathlib import Path
+
+import numpy as np
+
+from ewr_fenicsx.accuracy.accuracy import check_accuracy, solve_to_accuracy
+from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.laws.law_kinds import spread_over_pairs
+from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.response.solution_store import fingerprint, gather_figure, gather_output, list_orders
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
+from ewr_fenicsx.wear.wear_accuracy import AccurateWear
+from ewr_fenicsx.wear.wear_store import WearFile, WearStep
+from ewr_fenicsx.whole_files import check_place, write_table
+
+WORTH = 10.0  # seconds of work that are worth a new version of the file
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WearHistory:
+    """What a joint wears.
+
+    Attributes:
+        problem: The problem at the start: unworn, or worn by its ``wear``.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+        steps: What was kept: cycle, worn depth, depth worn by the next cycle, solution.
+        solves: Periodic solves that it took.
+        stopped: Why wear was not followed to the last cycle; None where it was.
+        accuracy: What was asked for of the solutions; None: harmonics and samples were given.
+        rough: Cycles that each wore more than contact can follow, and so are further off than ``jump`` allows.
+    """
+
+    problem: ContactProblem
+    coefficient: RealArray
+    steps: tuple[WearStep, ...]
+    solves: int
+    stopped: str | None
+    accuracy: float | None = None
+    rough: int = 0
+
+    def __repr__(self) -> str:
+        told = f"stopped {self.stopped}" if self.stopped else "to the last one"
+        told += f"; NOT within the tolerance at {self.rough} cycles" if self.rough else ""
+        told += f"; NOT as accurate as asked at {len(self.short)} of them" if len(self.short) else ""
+        return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
+
+    @cached_property
+    def cycles(self) -> np.ndarray:
+        """``(steps,)`` cycles done."""
+        return np.array([step.cycle for step in self.steps])
+
+    @cached_property
+    def depth(self) -> RealArray:
+        """``(steps, K_c)`` worn depth, that of a joint worn from the start included [m]."""
+        return np.array([step.depth for step in self.steps])
+
+    @property
+    def gap(self) -> RealArray:
+        """``(steps, K_c)`` initial gap plus worn depth, as the step was solved with it [m]."""
+        return np.array([step.solution.problem.clearance for step in self.steps])
+
+    @property
+    def rate(self) -> RealArray:
+        """``(steps, K_c)`` depth that the next cycle wears [m]."""
+        return np.array([step.rate for step in self.steps])
+
+    @property
+    def volume(self) -> RealArray:
+        """``(steps, K_c)`` worn volume of each pair, depth by tributary area [m^3]."""
+        return self.depth * self.problem.model.areas
+
+    @property
+    def total_volume(self) -> RealArray:
+        """``(steps,)`` worn volume of the joint [m^3]."""
+        return self.volume.sum(axis=1)
+
+    @property
+    def solutions(self) -> tuple[PeriodicSolution, ...]:
+        """The periodic solution at every step."""
+        return tuple(step.solution for step in self.steps)
+
+    @property
+    def estimates(self) -> RealArray:
+        """``(steps,)`` estimated errors of the solutions; NaN without an accuracy."""
+        return np.array([step.estimate for step in self.steps])
+
+    @property
+    def short(self) -> np.ndarray:
+        """Cycles after which the solution is thought less accurate than asked, in turn; none without an accuracy."""
+        return self.cycles[:0] if self.accuracy is None else self.cycles[self.estimates > self.accuracy]
+
+    @cached_property
+    def orders(self) -> tuple[int, ...]:
+        """Harmonics that any of the solutions has, ``n_h`` of them."""
+        return list_orders(self.solutions)
+
+    def output(self, name: str) -> ComplexArray:
+        """One-sided complex amplitudes ``(steps, n_h)`` of a named output of the model at ``orders``."""
+        return gather_output(self.solutions, name, self.orders)
+
+    def figure(self, name: str) -> RealArray:
+        """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
+
+        Raises:
+            ModelError: There is no such figure.
+        """
+        return gather_figure(self.solutions, name)
+
+    def table(self) -> dict[str, RealArray]:
+        """Column -> ``(steps,)``: cycles, worn depth and volume, sliding, separation and outputs."""
+        columns = {
+            "cycles": self.cycles,
+            "deepest [m]": self.depth.max(axis=1),
+            "mean depth [m]": self.total_volume / self.problem.model.areas.sum(),
+            "volume [m^3]": self.total_volume,
+        }
+        figures = [name for name in self.solutions[0].merit if name.startswith(("J_", "rms_"))]
+        columns |= {name: self.figure(name) for name in figures}
+        if self.accuracy is not None:
+            columns["estimate"] = self.estimates
+            columns["highest_harmonic"] = np.array([s.orders[-1] for s in self.solutions])
+        return columns
+
+    def write_csv(self, path: str | Path) -> None:
+        """Write ``table`` as CSV, a row a step."""
+        write_table(path, self.table())
+
+
+def evolve_wear(
+    problem: ContactProblem,
+    cycles: int = 3000,
+    coefficient: float | RealArray = 1e-11,
+    jump: Tolerance | None = None,
+    *,
+    keep_every: int = 1,
+    deepest: float | None = None,
+    file: str | Path | None = None,
+    checkpoint_every: int = 100,
+    tolerance: float = 1e-8,
+    accuracy: float | None = None,
+    progress: bool = True,
+    **choice: object,
+) -> WearHistory:
+    """Wear of a joint over many vibration cycles; warns where the model has no ``pair_area``, for which ones stand in.
+
+    Args:
+        problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
+        cycles: Number of cycles to follow.
+        coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear.
+        jump: Error control of jumps over many cycles at once; None: every cycle is solved.
+        keep_every: Steps are kept at least so many cycles apart; the first and last always are.
+        deepest: Stop where some pair has worn deeper than this [m].
+        file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however
+            often and wherever it was killed, leaves the same file, byte for byte. None: nothing is written.
+        checkpoint_every: Solves between two updates of ``file`` at most, which is also written after some seconds of
+            work, and on an interruption.
+        tolerance: As in ``solve``.
+        accuracy: As in ``solve_to_accuracy``: harmonics, samples and weights are chosen for the unworn joint, looked at
+            again at every step that is kept, and raised where they no longer do. None: those of the problem.
+        progress: Whether to show how many cycles are done and how long the rest will take.
+        choice: Further arguments of ``solve_to_accuracy``, where an accuracy is asked for.
+
+    Returns:
+        Cycles, worn depths and solutions at the steps that are kept.
+
+    Raises:
+        ModelError: No pair can wear; or a number makes no sense; or more modes in a run that is to be resumed.
+        NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
+        OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
+    """
+    check_problem(problem)
+    if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
+        raise ModelError(
+            f"cycles = {cycles!r}, keep_every = {keep_every!r}, checkpoint_every = {checkpoint_every!r}; give whole "
+            "numbers from 1"
+        )
+    cycles, keep_every = int(cycles), int(keep_every)
+    rates = read_coefficient(problem, coefficient)
+    if problem.model.pair_area is None:
+        warnings.warn(
+            "pair_area was not given: each pair is taken to have an area of 1 m^2, by which its pressure and its depth "
+            "may be orders of magnitude too small; give ReducedModel(..., pair_area=...)",
+            stacklevel=2,
+        )
+    if not (deepest is None or is_positive(deepest)):
+        raise ModelError(f"deepest = {deepest}; give a positive depth [m], or None")
+    if not (jump is None or isinstance(jump, Tolerance)):
+        raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
+    if accuracy is not None:
+        check_accuracy(accuracy)
+    store = None
+    if file is not None:
+        if choice.get("more_modes"):
+            raise ModelError(
+                "file: a resumed run would not know of more_modes; raise the modes before, or give no file"
+            )
+        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, choice)
+        store = WearFile(Path(file), stated, problem)
+    state = store.read() if store else None
+    if choice and accuracy is None:
+        for name in choice.keys() - signature(solve_to_accuracy).parameters.keys():
+            raise ModelError(f"{name}: no argument of evolve_wear{nearest(name, signature(evolve_wear).parameters)}")
+        raise ModelError(
+            f"{', '.join(choice)}: only where an accuracy is asked for; give accuracy=... or leave them out"
+        )
+    judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice)
+    run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
+    if store and (state is None or not run.is_done(state)):
+        check_place(store.path)
+    state = state or run.begin()
+    saved, since = state if store else None, time.monotonic()
+    try:
+        with count_progress("wear", cycles, progress) as report:
+            report(state.latest.cycle)
+            for state in run.go_on(state):  # noqa: B020
+                report(state.latest.cycle)
+                due = time.monotonic() - since >= WORTH  # where solves are slow, fewer of them
+                if store and (due or state.solves - saved.solves >= checkpoint_every):
+                    store.write(state)
+                    saved, since = state, time.monotonic()
+    finally:
+        if store and state is not saved:
+            store.write(state)
+    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy, state.rough)
+
+
+def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) -> RealArray:
+    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow.
+
+    Raises:
+        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
+    """
+    model = problem.model
+    rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
+    if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
+        raise ModelError(
+            f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
+        )
+    if problem.frequency == 0:
+        raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
+    rates[~problem.opens] = 0.0
+    if not np.any(rates > 0):
+        raise ModelError(
+            'no pair can wear: it takes pairs that may part (normal = "unilateral") and a positive wear coefficient'
+        )
+    if model.tangents == 0:
+        raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
+    return rates

@@ -1,0 +1,105 @@
+"""Wear to an accuracy: harmonics, samples and weights chosen for the fresh joint, and again where it has changed.
+
+What is asked of the outputs is asked of the wear rate as well, which may take far more harmonics: where most pairs
+stick, the outputs hardly know of those that slide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from inspect import signature
+
+from ewr_fenicsx.accuracy.accuracy import AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import estimate_errors
+from ewr_fenicsx.errors import ModelError, NotConverged, nearest
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.wear.archard import measure_wear_rate
+from ewr_fenicsx.wear.wear_store import WearStep
+
+
+class AccurateWear:
+    """Judges the solutions of a wear calculation, and solves again where one is not as accurate as asked.
+
+    Args:
+        problem: The unworn problem; weights that it gives are kept.
+        coefficient: ``(K_c,)`` wear coefficients [1/Pa].
+        accuracy, tolerance: As in ``solve_to_accuracy``.
+        choice: Further arguments of ``solve_to_accuracy``: modes, what limits them, highest harmonic.
+
+    Raises:
+        ModelError: There is no such argument, or wear chooses it by itself.
+    """
+
+    def __init__(
+        self,
+        problem: ContactProblem,
+        coefficient: RealArray,
+        accuracy: float,
+        tolerance: float,
+        choice: Mapping[str, object],
+    ):
+        self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
+        self.choice = dict(choice)
+        known = [name for name, at in signature(solve_to_accuracy).parameters.items() if at.kind is at.KEYWORD_ONLY]
+        free = [name for name in known if name not in ("first", "figure")]  # wear chooses these by itself
+        for name in set(self.choice) - set(free):
+            raise ModelError(f"{name}: no argument of evolve_wear; choose of {', '.join(free)}{nearest(name, free)}")
+
+    def begin(self, depth: RealArray) -> WearStep:
+        """The first step, with as many harmonics as it takes.
+
+        Raises:
+            NotConverged: The joint has no solution.
+        """
+        found, modes = self._solve(replace(self.problem, wear=depth), None, None)
+        return self._take(WearStep(0, depth, depth, found.solution), found, modes)
+
+    def look_at(self, step: WearStep) -> WearStep:
+        """A step with its estimated error; where that exceeds the accuracy, with the solution of one that does not.
+
+        Where nothing more accurate is found, the step stays as it is, and its estimate says so.
+        """
+        estimate = self._estimate(step.solution)
+        if estimate <= self.accuracy:
+            return replace(step, estimate=estimate)
+        given = {"rho_tangential": self.problem.rho_tangential, "closure": self.problem.closure}
+        posed = replace(step.solution.problem, **given)
+        try:
+            found, modes = self._solve(posed, step.solution, step.solution.orders[-1])
+        except NotConverged:
+            return replace(step, estimate=estimate)
+        if found.estimate.total >= estimate:
+            return replace(step, estimate=estimate)
+        return self._take(step, found, modes)
+
+    def _estimate(self, solution: PeriodicSolution) -> float:
+        return estimate_errors(solution, self.choice.get("modes", ()), self._rate).total
+
+    def _rate(self, solution: PeriodicSolution) -> RealArray:
+        return measure_wear_rate(solution, self.coefficient)
+
+    def _solve(
+        self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None
+    ) -> tuple[AccurateSolution, Sequence[int]]:
+        """What was found, and which coordinates of its model are modal: on models tried with more there may be none."""
+        choice, depth = dict(self.choice), problem.wear
+        modes_of = {problem.model: choice.get("modes", ())}
+        if more := choice.get("more_modes"):
+
+            def keep_more(count: int) -> tuple[ContactProblem, Sequence[int]]:
+                unworn, modes = more(count)
+                modes_of[unworn.model] = modes
+                return replace(unworn, wear=depth), modes
+
+            choice["more_modes"] = keep_more
+        found = solve_to_accuracy(
+            problem, self.accuracy, start, self.tolerance, first=first, figure=self._rate, **choice
+        )
+        return found, modes_of[found.solution.problem.model]
+
+    def _take(self, step: WearStep, found: AccurateSolution, modes: Sequence[int]) -> WearStep:
+        self.choice["modes"] = modes
+        return replace(step, rate=self._rate(found.solution), solution=found.solution, estimate=found.estimate.total)

@@ -1,0 +1,122 @@
+"""The state of a wear calculation, and its file: complete at any moment, and the same however often it was resumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ewr_fenicsx.errors import OutputError
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.response.solution_store import read_records, restore, strip, write_records
+from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.whole_files import open_file, replace_file
+
+_FORMAT = "ewr_fenicsx wear, 6"
+
+
+@dataclass(frozen=True, eq=False)
+class WearStep:
+    """A moment of the slow time.
+
+    Attributes:
+        cycle: Cycles done.
+        depth: ``(K_c,)`` worn by them [m].
+        rate: ``(K_c,)`` depth that the next cycle wears [m].
+        solution: Periodic solution with that depth.
+        estimate: Its estimated error, where an accuracy was asked for and the step was kept; else NaN.
+    """
+
+    cycle: int
+    depth: RealArray
+    rate: RealArray
+    solution: PeriodicSolution
+    estimate: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class WearState:
+    """All that a wear calculation needs to go on.
+
+    Attributes:
+        latest, earlier: The last two steps.
+        jump: Length of the next jump to try [cycles].
+        solves: Periodic solves so far.
+        rough: Single cycles so far that were further off than the tolerance allows.
+        steps: Steps kept so far.
+        stopped: Why it ended before its last cycle, or None.
+    """
+
+    latest: WearStep
+    earlier: WearStep | None
+    jump: int
+    solves: int
+    rough: int
+    steps: tuple[WearStep, ...]
+    stopped: str | None
+
+
+class WearFile:
+    """The HDF5 file of a wear calculation.
+
+    Args:
+        path: Where it is or will be.
+        stated: Fingerprint of all that decides on the result.
+        problem: The unworn problem.
+    """
+
+    def __init__(self, path: Path, stated: str, problem: ContactProblem):
+        self.path, self.stated, self.problem = path, stated, problem
+
+    def write(self, state: WearState) -> None:
+        """Replace the file by one with this state."""
+        with replace_file(self.path) as file:
+            file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
+            file.attrs["jump"], file.attrs["solves"], file.attrs["rough"] = state.jump, state.solves, state.rough
+            file.attrs["stopped"] = state.stopped or ""
+            file["pair_area"] = self.problem.model.areas
+            self._write_steps(file.create_group("steps"), state.steps)
+            self._write_steps(file.create_group("last"), [s for s in (state.earlier, state.latest) if s is not None])
+
+    def read(self) -> WearState | None:
+        """The state in the file, None where there is no file.
+
+        Raises:
+            OutputError: The file holds another calculation, or none that can be read.
+        """
+        with open_file(self.path) as file:
+            if file is None:
+                return None
+            if file.attrs.get("format") != _FORMAT or file.attrs.get("stated") != self.stated:
+                raise OutputError(
+                    f"{self.path} holds another calculation (model, laws, cycles or settings differ); give another "
+                    "file or remove it"
+                )
+            *earlier, latest = self._read_steps(file["last"])
+            return WearState(
+                latest=latest,
+                earlier=earlier[0] if earlier else None,
+                jump=int(file.attrs["jump"]),
+                solves=int(file.attrs["solves"]),
+                rough=int(file.attrs["rough"]),
+                steps=tuple(self._read_steps(file["steps"])),
+                stopped=str(file.attrs["stopped"]) or None,
+            )
+
+    def _write_steps(self, group: h5py.Group, steps: list[WearStep] | tuple[WearStep, ...]) -> None:
+        group["cycle"] = np.array([s.cycle for s in steps])
+        group["depth"], group["rate"] = np.array([s.depth for s in steps]), np.array([s.rate for s in steps])
+        group["estimate"] = np.array([s.estimate for s in steps])
+        # wall times would tell a resumed run from an unbroken one
+        write_records(group.create_group("solutions"), [replace(strip(s.solution), seconds=0.0) for s in steps])
+
+    def _read_steps(self, group: h5py.Group) -> list[WearStep]:
+        cycle, depth, rate, estimate = (group[name][()] for name in ("cycle", "depth", "rate", "estimate"))
+        records = read_records(group["solutions"])
+        return [
+            WearStep(int(n), d, r, restore(replace(self.problem, wear=d), record), float(e))
+            for n, d, r, e, record in zip(cycle, depth, rate, estimate, records, strict=True)
+        ]
