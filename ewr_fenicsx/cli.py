@@ -115,7 +115,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     from ewr_fenicsx.output.output import list_files, write_results
     from ewr_fenicsx.output.result_folder import hold_target
     from ewr_fenicsx.output.work_folder import holds_work, keep_work, name_work_folder
-    from ewr_fenicsx.petsc_options import check_options
+    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.runs.study import can_resume, run_study
     from ewr_fenicsx.structure.chain import Stopwatch, build_chain
 

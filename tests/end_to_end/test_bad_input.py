@@ -14,7 +14,7 @@ from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx import solve
 from ewr_fenicsx.cli import main, parse_arguments
-from ewr_fenicsx.petsc_options import check_options
+from ewr_fenicsx.runs.petsc_options import check_options
 
 MIXED_CELLS = '''
 import gmsh
