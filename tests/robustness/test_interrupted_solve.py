@@ -12,7 +12,8 @@ import pytest
 FOLDER = Path(__file__).parents[1]
 SCRIPT = """
 from small_models import PROBLEMS
-from ewr_fenicsx import snes, solve
+from ewr_fenicsx import solve
+from ewr_fenicsx.solver import snes
 calls = []
 def stop(self, *_):
     calls.append(1)
