@@ -76,7 +76,8 @@ class ContactSystem:
             free_motion=self.compliance.free_motion[keep],
             outputs={name: rows[keep] for name, rows in self.compliance.outputs.items()},
         )
-        samples = min(self.basis.samples, select_basis(orders).samples)
+        needed = max(select_basis(orders).samples, 2 * max(self.prescribed, default=0) + 1)
+        samples = min(self.basis.samples, needed)
         return replace(self, basis=FourierBasis(orders, samples), compliance=compliance)
 
     def sample(self, samples: int) -> ContactSystem:

@@ -34,8 +34,12 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         if start == "rest" and moves and not at_rest:
             raise ModelError(f'start = "rest": no static solution of the laws was found; {_STARTS}')
         found = at_rest or find_full_stick(problem)
-        rest = State(found.coordinates[0].real, np.zeros(problem.model.size))
-        state = rest if at_rest or start == "rest" else state_of(found)
+        if at_rest or start == "rest":
+            has_mean = found.problem.basis.has_mean  # without it nothing acts on average
+            position = found.coordinates[0].real if has_mean else np.zeros(problem.model.size)
+            state = State(position, np.zeros(problem.model.size))
+        else:
+            state = state_of(found)
     elif isinstance(start, PeriodicSolution):
         state = state_of(start)
     else:

@@ -323,6 +323,8 @@ def attend_to_faint_forces(
     begin = found.unknowns if unknowns is None else unknowns
     closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
     steps = found.iterations + taken + closer.iterations
+    if closer.walks:  # so faintly held that only a closer look tells
+        return replace(closer, iterations=steps)
     return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
 
 

@@ -105,7 +105,7 @@ def _soften(newton: _Newton, balance: HarmonicBalance, start: RealArray, toleran
     """From a solution of the firm balance to that of the balance through some that are ever less firm.
 
     Returns:
-        The runs; empty where none is between the two.
+        The runs, that of the balance itself first, of two that left as much; empty where none is between the two.
     """
     attempts: list[Attempt] = []
     for share in SOFTER:
@@ -118,7 +118,7 @@ def _soften(newton: _Newton, balance: HarmonicBalance, start: RealArray, toleran
         start = attempts[-1].unknowns
     left = [replace(a, residual=float(np.linalg.norm(balance.residual(a.unknowns))), converged=False) for a in attempts]
     if attempts and attempts[-1].converged:
-        left.append(newton.run(balance, start, tolerance, near=True))
+        left.insert(0, newton.run(balance, start, tolerance, near=True))
     return left
 
 

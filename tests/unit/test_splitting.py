@@ -9,7 +9,7 @@ import pytest
 from balance_points import LAWS, prepare
 from small_models import PROBLEMS, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.laws.planar_coulomb import PLANE
 from ewr_fenicsx.solver import ladder, newton_path
@@ -305,3 +305,22 @@ def test_what_runs_to_infinity_is_left_before_the_laws_see_it():
     assert found.defect == np.inf and found.iterations == 1
     state = np.full_like(splitting.begin(), np.nan)
     assert settle(splitting, state, 1e-3).defect == np.inf
+
+
+@pytest.mark.parametrize("harmonic", [40, 70])
+def test_it_sees_the_harmonics_of_a_normal_force_that_is_given(harmonic):
+    """With samples for its own five only, 70 folded back: it ended 40 % from the solution."""
+    stiffness = 2.2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1)
+    model = ReducedModel(
+        0.3 * np.eye(6), 0.02 * stiffness, stiffness, tangential=np.eye(6), load={1: [0, 0, 0, 0, 0, 3.0]}
+    )
+    pressed = ContactLaws("prescribed", normal_force={0: 2.0, harmonic: 1.5}, friction=0.3)
+    problem = ContactProblem(model, pressed, 0.2, 5, closure="dashpot")
+    balance = HarmonicBalance(problem.system)
+    splitting = Splitting(balance)
+    solution = solve(problem)
+    found, wanted = settle(splitting, splitting.begin(), 1e-8), balance.pack(solution.forces, solution.rigid)
+    assert found.defect <= 1e-8
+    assert np.linalg.norm(splitting.unknowns(found.state) - wanted) < 0.03 * np.linalg.norm(wanted)
+    few = balance.system.restrict((0, 1, 2, 3))
+    assert few.basis.samples > 2 * harmonic, "nor do fewer harmonics take fewer"

@@ -275,3 +275,20 @@ def test_a_law_of_ones_own_need_not_tell_when_it_slips():
     silent = measure_walk(balance, unknowns)
     assert not walks(balance, unknowns) and silent.share == told.share > walking.HELD
     assert 0 < silent.way < told.way
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-6, 1e-8])
+def test_a_light_sled_walks_however_large_the_forces_beside_it_are(share):
+    """Where all forces together said solved, and only the closer look at its own ones that it walks."""
+    model = ReducedModel(
+        mass=np.diag([share, 1.0]),
+        damping=np.diag([0.0, 0.5]),
+        stiffness=np.diag([0.0, 10.0]),
+        normal=[[0.0, 0.0], [0.0, 1.0]],
+        tangential=[[1.0, 0.0], [0.0, 0.0]],
+        load={0: [0.1 * share, -50.0], 1: [share, 5.0]},
+    )
+    pressed = ContactLaws("prescribed", normal_force=share, friction=LIMIT)
+    laws = [((0,), pressed), ((1,), ContactLaws("unilateral", "frictionless"))]
+    with pytest.raises(NotConverged, match="walks"):
+        solve(ContactProblem(model, laws, 0.3, 15))
