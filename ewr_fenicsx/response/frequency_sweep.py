@@ -101,7 +101,8 @@ def frequency_response(
     family = dict(laws) if isinstance(laws, Mapping) else {None: laws}
     if not family:
         raise ModelError("laws = {}; give ContactLaws, or a dictionary with a value of a parameter for each curve")
-    taken = {*signature(ContactProblem).parameters, *signature(frequency_response).parameters} - {"frequency"}
+    taken = {*signature(ContactProblem).parameters, *signature(frequency_response).parameters}
+    taken -= {"frequency", "settings"}
     for name in settings.keys() - taken:
         raise ModelError(f"{name}: no argument of frequency_response{nearest(name, taken)}")
     common = ContactProblem(model, next(iter(family.values())), targets[0], harmonics, **settings)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.laws.law_kinds import find_kind
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.scene.scene_joint import Contact
@@ -140,7 +141,8 @@ def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
     bonds = [by_law("bonded parts", law, "bonded") for law in ("normal", "tangential")]
     yield Effect("bonded parts", any(b.on for b in bonds), "; ".join(b.why for b in bonds if b.on) or "no bonded law")
     yield by_law("frictionless flanks", "tangential", "frictionless")
-    gaps = [f"{where}.initial_gap = {laws.initial_gap:g} m" for where, laws in joint.items() if laws.initial_gap > 0]
+    parting = {where: laws for where, laws in joint.items() if find_kind("normal", laws.normal).opens}
+    gaps = [f"{where}.initial_gap = {laws.initial_gap:g} m" for where, laws in parting.items() if laws.initial_gap > 0]
     yield Effect("initial gap", bool(gaps), "; ".join(gaps) or "contact.initial_gap = 0 m")
     mixed = ", ".join(f"[flanks.{name}]" for name in scene.flanks)
     yield Effect("mixed flanks", bool(scene.flanks), mixed or "no [flanks]")
@@ -178,6 +180,8 @@ def _list_studies(scene: Scene, joint: Joint) -> Iterator[Effect]:
     yield Effect("frequency sweep", len(frequencies) > 1, why)
     why = "no [wear]"
     if wear:
-        where = ", ".join(where for where, laws in joint.items() if can_wear(laws))
+        own = {f"flanks.{name}": flank.wear for name, flank in scene.flanks.items() if flank.wear is not None}
+        worn = [place for place, laws in joint.items() if can_wear(laws) and own.get(place) != 0]
+        where = ", ".join(f"{place} ({own[place]:g} 1/Pa)" if place in own else place for place in worn)
         why = f"wear.coefficient = {wear.coefficient:g} 1/Pa, {wear.cycles} cycles, on {where}"
     yield Effect("wear", wear is not None, why)

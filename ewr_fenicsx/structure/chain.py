@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -18,7 +18,14 @@ from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.scene.scene_joint import Contact
-from ewr_fenicsx.scene.scene_sense import can_wear, doubt_drag, doubt_frequency, doubt_lengths, doubt_modes
+from ewr_fenicsx.scene.scene_sense import (
+    can_wear,
+    doubt_drag,
+    doubt_frequency,
+    doubt_lengths,
+    doubt_modes,
+    laws_in_force,
+)
 from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
 from ewr_fenicsx.structure import elasticity, materials
 from ewr_fenicsx.structure._compat import measure_compilation
@@ -97,7 +104,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {scene!r}; give a scene as load_scene(path) returns it")
-    check_laws(scene)
+    check_laws(scene, scene.contact.flanks or tuple(scene.flanks) or None)  # before a mesh is made for nothing
     watch = Stopwatch(progress)
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
@@ -123,6 +130,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         joint = interface.flanks, contact.body_a, contact.body_b
         doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
     check_flanks(scene, interface)
+    check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
     with watch.stage("reduction"):
         reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
     modes = reduction.fixed_interface_frequencies
@@ -227,17 +235,20 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
                 )
 
 
-def check_laws(scene: Scene) -> None:
-    """Checks that the laws have all their parameters, before a mesh is made for nothing.
+def check_laws(scene: Scene, flanks: Sequence[str] | None) -> None:
+    """Checks that the laws have all their parameters.
+
+    Args:
+        scene: The scene.
+        flanks: As in ``laws_in_force``.
 
     Raises:
         SceneError: Names the law, what it lacks, and the flank if there are several.
     """
-    for flank in scene.contact.flanks or tuple(scene.flanks) or ("",):
+    for where, joint in laws_in_force(scene, flanks).items():
         try:
-            _laws(scene.laws_on(flank))
+            _laws(joint)
         except ModelError as error:
-            where = f"flanks.{flank}" if flank in scene.flanks else "contact"
             raise SceneError(f"{scene.where}: {where}: {error}") from None
 
 

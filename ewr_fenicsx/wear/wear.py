@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import signature
@@ -201,8 +202,7 @@ def evolve_wear(
         raise ModelError(f"deepest = {deepest}; give a positive depth [m], or None")
     if not (jump is None or isinstance(jump, Tolerance)):
         raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
-    if accuracy is not None:
-        check_accuracy(accuracy)
+    _check_choice(choice, accuracy)
     store = None
     if file is not None:
         if choice.get("more_modes"):
@@ -212,12 +212,6 @@ def evolve_wear(
         stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, choice)
         store = WearFile(Path(file), stated, problem)
     state = store.read() if store else None
-    if choice and accuracy is None:
-        for name in choice.keys() - signature(solve_to_accuracy).parameters.keys():
-            raise ModelError(f"{name}: no argument of evolve_wear{nearest(name, signature(evolve_wear).parameters)}")
-        raise ModelError(
-            f"{', '.join(choice)}: only where an accuracy is asked for; give accuracy=... or leave them out"
-        )
     judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice)
     run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     if store and (state is None or not run.is_done(state)):
@@ -237,6 +231,21 @@ def evolve_wear(
         if store and state is not saved:
             store.write(state)
     return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy, state.rough)
+
+
+def _check_choice(choice: Mapping[str, object], accuracy: float | None) -> None:
+    """Checks the accuracy, and that further arguments are those of ``solve_to_accuracy`` that wear leaves open."""
+    if accuracy is not None:
+        check_accuracy(accuracy)
+    keywords = [name for name, at in signature(solve_to_accuracy).parameters.items() if at.kind is at.KEYWORD_ONLY]
+    free = set(keywords) - {"first", "figure"}  # wear chooses these by itself
+    for name in choice.keys() - free:
+        known = free | signature(evolve_wear).parameters.keys() - {"choice"}
+        raise ModelError(f"{name}: no argument of evolve_wear{nearest(name, sorted(known))}")
+    if choice and accuracy is None:
+        raise ModelError(
+            f"{', '.join(choice)}: only where an accuracy is asked for; give accuracy=... or leave them out"
+        )
 
 
 def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) -> RealArray:

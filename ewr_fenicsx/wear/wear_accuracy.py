@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from inspect import signature
 
 from ewr_fenicsx.accuracy.accuracy import AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.accuracy.estimates import estimate_errors
-from ewr_fenicsx.errors import ModelError, NotConverged, nearest
+from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solver.weights import adopt_weights
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.wear_store import WearStep
 
@@ -28,9 +28,6 @@ class AccurateWear:
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
         accuracy, tolerance: As in ``solve_to_accuracy``.
         choice: Further arguments of ``solve_to_accuracy``: modes, what limits them, highest harmonic.
-
-    Raises:
-        ModelError: There is no such argument, or wear chooses it by itself.
     """
 
     def __init__(
@@ -43,10 +40,6 @@ class AccurateWear:
     ):
         self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
         self.choice = dict(choice)
-        known = [name for name, at in signature(solve_to_accuracy).parameters.items() if at.kind is at.KEYWORD_ONLY]
-        free = [name for name in known if name not in ("first", "figure")]  # wear chooses these by itself
-        for name in set(self.choice) - set(free):
-            raise ModelError(f"{name}: no argument of evolve_wear; choose of {', '.join(free)}{nearest(name, free)}")
 
     def begin(self, depth: RealArray) -> WearStep:
         """The first step, with as many harmonics as it takes.
@@ -65,8 +58,7 @@ class AccurateWear:
         estimate = self._estimate(step.solution)
         if estimate <= self.accuracy:
             return replace(step, estimate=estimate)
-        given = {"rho_tangential": self.problem.rho_tangential, "closure": self.problem.closure}
-        posed = replace(step.solution.problem, **given)
+        posed = adopt_weights(step.solution.problem, self.problem)
         try:
             found, modes = self._solve(posed, step.solution, step.solution.orders[-1])
         except NotConverged:

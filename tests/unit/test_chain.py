@@ -96,6 +96,17 @@ def test_a_law_that_lacks_a_parameter_is_told_before_there_is_a_mesh(tmp_path, m
         chain.build_chain(load_scene(tmp_path / "scene.toml"))
 
 
+def test_a_law_of_flanks_that_only_the_mesh_knows_is_told_before_the_reduction(tmp_path, monkeypatch):
+    """What [contact] says holds on no flank that the scene names, but on one of the joint."""
+    kind = make_dataclass("Mine", [("spring", float)], bases=(law_kinds.LawKind,), frozen=True)
+    monkeypatch.setitem(law_kinds._KINDS, ("tangential", "mine"), kind)
+    monkeypatch.setattr(chain, "reduce_structure", lambda *given, **named: pytest.fail("it was reduced"))
+    tables = '[contact]\ntangential = "mine"', '[flanks.left]\ntangential = "coulomb"'
+    (tmp_path / "scene.toml").write_text(write_blocks(*tables, source=BLOCKS.parents[2] / "geometry" / "dovetail.py"))
+    with pytest.raises(SceneError, match=r"scene.toml: contact: .*missing .* 'spring'; give it in parameters="):
+        chain.build_chain(load_scene(tmp_path / "scene.toml"))
+
+
 def test_a_joint_to_a_third_body_is_told(tmp_path):
     pile = str(BLOCKS.with_name("pile.py"))
     (tmp_path / "scene.toml").write_text(write_blocks(source=pile))

@@ -327,6 +327,7 @@ def test_a_single_frequency_is_one():
         ({"laws": [LAWS]}, r"laws has ContactLaws\(.*; give one ContactLaws for all pairs, or a list of \(pairs, Con"),
         ({"laws": {"good": LAWS, "bad": 0.3}}, "laws has 0.3; give one ContactLaws"),
         ({"sample": 64}, 'sample: no argument of frequency_response; did you mean "samples"'),
+        ({"settings": {}}, "settings: no argument of frequency_response"),
         ({"laws": []}, "laws must cover each of the 1 pairs once; they leave out pair 0"),
     ],
 )

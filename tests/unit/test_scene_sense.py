@@ -318,10 +318,19 @@ def test_effects_of_mixed_scenes_say_where_they_come_from(read):
     )
     assert effects["mixed flanks"].why == "[flanks.left], [flanks.top]"
     assert effects["wear"].on and effects["wear"].why.endswith("500 cycles, on contact, flanks.top")
-    assert not effects["frequency sweep"].on
+    assert not effects["frequency sweep"].on and not effects["initial gap"].on
     covered = {effect.name: effect for effect in list_effects(scene, flanks=("left", "top"))}
     assert covered["friction"].why == 'flanks.top.tangential = "coulomb", friction = 0.5', "[contact] holds nowhere"
     assert covered["wear"].why.endswith("500 cycles, on flanks.top")
+    own = (
+        "[contact]\ninitial_gap = 1e-6\n[wear]\ncycles = 500\n[flanks.top]\nwear = 1e-12\n[flanks.right]\nwear = 0.0\n"
+    )
+    own += "[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n"
+    scene = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = 1000\n" + own)
+    own = {effect.name: effect for effect in list_effects(scene, flanks=("left", "right", "top"))}
+    gaps = "flanks.top.initial_gap = 1e-06 m; flanks.right.initial_gap = 1e-06 m"
+    assert own["initial gap"].why == gaps, "a bond knows of none"
+    assert own["wear"].why.endswith("500 cycles, on flanks.top (1e-12 1/Pa)")
     sweep = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 1000, points = 11 }\n")
     why = {e.name: e.why for e in list_effects(sweep) if e.on}["frequency sweep"]
     assert why == "11 frequencies, 900 to 1000 Hz"

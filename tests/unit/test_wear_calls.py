@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve, solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, OutputError
 from ewr_fenicsx.wear import cycle_jumps, wear
 from ewr_fenicsx.wear.archard import measure_wear_rate
+from ewr_fenicsx.wear.wear_accuracy import AccurateWear
+from ewr_fenicsx.wear.wear_store import WearStep
 
 WEAR = 1e-10
 
@@ -87,6 +89,8 @@ def test_nothing_wears_at_rest():
         ({"jump": 0.01}, r"jump = 0.01; give Tolerance\(share=0.01\) or the like, or None"),
         ({"accuracy": "x"}, "accuracy = 'x'; give a relative error between 0 and 1"),
         ({"cycle": 5}, 'cycle: no argument of evolve_wear; did you mean "cycles"'),
+        ({"harmonics": 9}, "harmonics: no argument of evolve_wear$"),
+        ({"first": 9}, "first: no argument of evolve_wear"),
         ({"highest": 9}, "highest: only where an accuracy is asked for; give accuracy=... or leave them out"),
         ({"problem": dovetail()}, r"problem = ReducedModel\(.*; give ContactProblem\("),
     ],
@@ -177,12 +181,23 @@ def test_what_an_accuracy_of_wear_cannot_mean():
         evolve_wear(pose(), 5, WEAR, accuracy=2.0)
     with pytest.raises(ModelError, match="modes: only where an accuracy is asked for"):
         evolve_wear(pose(), 5, WEAR, modes=[0])
-    with pytest.raises(ModelError, match=r'higest: no argument of evolve_wear; .* did you mean "highest"'):
+    with pytest.raises(ModelError, match=r'higest: no argument of evolve_wear; did you mean "highest"'):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, higest=9)
     with pytest.raises(ModelError, match="figure: no argument of evolve_wear"):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, figure=print)
     with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, file="wear.h5", more_modes=print)
+
+
+def test_weights_of_the_problem_are_kept_where_wear_is_judged_anew():
+    """A solution that was found with default weights only is left, and not for good."""
+    problem = replace(pose(), rho_normal=1e6, rho_tangential=50.0)
+    judge = AccurateWear(problem, np.full(6, WEAR), 1e-6, 1e-8, {"highest": 6})
+    went_back = solve(replace(problem, rho_normal=None, rho_tangential=None))
+    asked = []
+    judge._solve = lambda posed, start, first: asked.append(posed) or (solve_to_accuracy(posed, 0.5), ())
+    judge.look_at(WearStep(0, np.zeros(6), np.zeros(6), went_back))
+    assert [(posed.rho_normal, posed.rho_tangential) for posed in asked] == [(1e6, 50.0)]
 
 
 def test_a_jump_without_a_near_solution_is_shortened_and_does_not_grow_at_once(monkeypatch):
