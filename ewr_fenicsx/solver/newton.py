@@ -17,6 +17,7 @@ from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
+from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
 from ewr_fenicsx.solver.growing_load import grow_load, trace_load
 from ewr_fenicsx.solver.ladder import (
     COARSE_LEVELS,
@@ -35,7 +36,7 @@ from ewr_fenicsx.solver.ladder import (
 )
 from ewr_fenicsx.solver.long_splitting import split_at_length
 from ewr_fenicsx.solver.newton_path import can_follow
-from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
+from ewr_fenicsx.solver.snes import TIGHTEST, Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import are_projections
 from ewr_fenicsx.solver.warm_starts import go_on_from, guide
 from ewr_fenicsx.solver.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
@@ -47,22 +48,13 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
 # Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
 APERIODIC, LAST_PERIODS = 0.1, 10
-# Tolerances that mean something: below, rounding decides; above, even a start may pass for a solution
-TIGHTEST, LOOSEST = 1e-13, 1e-3
+LOOSEST = 1e-3  # tolerance above which even a start may pass for a solution
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
-# Times the tolerance that a row may leave of its own oscillating force, or of the faintest that counts, of all;
-# no more than a share of it where tolerances are loose, or so many times the tolerance
-OWN_SHARE, LOOSE_SHARE, LOOSELY, FAINT = 1e5, 1e-2, 100.0, 1e-12
-LAST_STEPS = 10  # Newton steps to get there
-HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
-# Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces: little tells
-# of it.
-MEAN_SHARE = 100.0
 
 
 def solve(
@@ -289,43 +281,6 @@ def start_from_time_stepping(
     told = f"from period to period its motion still changes {much} after {steady.periods}"
     doubtful = not steady.converged and change > APERIODIC
     return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
-
-
-def attend_to_faint_forces(
-    balance: HarmonicBalance, found: Attempt, tolerance: float, linear_solver: LinearSolver
-) -> Attempt:
-    """What was found, or closer where its residual is small beside all forces, but not beside those of some row.
-
-    As at a lightly loaded joint beside a large preload, which may be left as it was guessed; or where only weak
-    springs, or a small share of itself, decide the mean force of a pair that sticks throughout.
-    """
-    if not found.converged or found.usual:  # what holds with other weights is closer already
-        return found
-    mean = int(balance.basis.has_mean)
-    left, own = (balance.place(at) for at in (balance.residual(found.unknowns), found.unknowns))
-    share = min(OWN_SHARE * tolerance, max(LOOSE_SHARE, LOOSELY * tolerance))
-    least = share * np.maximum(np.linalg.norm(own[mean:], axis=0), FAINT)
-    missed = [least[np.linalg.norm(left[mean:], axis=0) > least]]
-    if mean and np.any(balance.held):
-        springs = balance.static_displacement_row * balance.system.flexibility
-        least = HELD_SHARE * springs * np.maximum(np.linalg.norm(own, axis=0), FAINT)
-        missed.append(least[balance.held & (np.abs(left[0]) > least)])
-    if mean:
-        least = MEAN_SHARE * tolerance * balance.static_row * balance.static_force_row
-        loose = (least > 0) & (np.abs(left[0]) > least)
-        if np.any(loose):
-            missed.append(least[loose & balance.linearise(found.unknowns).steady])
-    goals = np.concatenate(missed)
-    if not goals.size:
-        return found
-    goal = max(TIGHTEST, goals.min())
-    unknowns, taken = balance.take_whole_steps(found.unknowns, LAST_STEPS, goal)  # a line search may take none of them
-    begin = found.unknowns if unknowns is None else unknowns
-    closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
-    steps = found.iterations + taken + closer.iterations
-    if closer.walks:  # so faintly held that only a closer look tells
-        return replace(closer, iterations=steps)
-    return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:

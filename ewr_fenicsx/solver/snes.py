@@ -19,6 +19,7 @@ from ewr_fenicsx.in_time.walking import WALKS, walks
 
 LinearSolver = Literal["elimination", "dense"]
 
+TIGHTEST = 1e-13  # residual below which rounding decides
 # Added to the contact rows' diagonal from a start far from any solution, times the residual over the first one, while
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3

@@ -31,7 +31,7 @@ ORDER = {
     "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
     "solver": [
         "snes", "initial_states", "time_integration", "continuation", "newton_path", "splitting", "growing_sets",
-        "warm_starts", "long_splitting", "ladder", "growing_load", "weights", "newton",
+        "warm_starts", "long_splitting", "ladder", "growing_load", "faint_forces", "weights", "newton",
     ],
     "accuracy": ["looking_ahead", "estimates", "accuracy", "solving", "cost"],
     "response": [
