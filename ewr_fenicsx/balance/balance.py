@@ -276,12 +276,12 @@ class HarmonicBalance:
         if self._last is None:  # a law that answers well once does so always
             for law, response in zip(self.system.laws, responses, strict=True):
                 check_response(law, response, (self.basis.samples, law.pairs.size))
-        answer = forces, rigid, caused, responses, self._project(forces, rigid, [r.residual for r in responses])
+        answer = forces, rigid, caused, responses, self._project(forces, caused, [r.residual for r in responses])
         if motion is None:
             self._last = unknowns.copy(), answer
         return answer
 
-    def _project(self, forces: ComplexArray, rigid: RealArray, residuals: list[RealArray]) -> RealArray:
+    def _project(self, forces: ComplexArray, caused: ComplexArray, residuals: list[RealArray]) -> RealArray:
         coefficients = np.empty(self.unknown.shape)
         for rows, residual in zip(self.law_rows, residuals, strict=True):
             coefficients[:, rows] = self.basis.project(residual)
@@ -289,9 +289,7 @@ class HarmonicBalance:
         if self.basis.has_mean:
             mean = forces[0].real
             coefficients[0] = self.static_row * coefficients[0] + self.static_force_row * mean
-            if np.any(self.static_displacement_row):
-                motion = self.compliance.motion(forces[:1], rigid)[0].real
-                coefficients[0] += self.static_displacement_row * motion
+            coefficients[0] += self.static_displacement_row * caused[0].real
             balance = self.compliance.rigid_motion.T @ mean + self.compliance.rigid_load
         return np.concatenate([coefficients[self.unknown], balance]) / self.force_unit
 

@@ -124,7 +124,7 @@ def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArra
         # stronger springs than the law's are but for the start of a run
         springs[rows] = np.where(balance.held[rows], law.static_displacement_row, springs[rows])
     forces, rigid = balance.unpack(unknowns)
-    drawn = balance.compliance.motion(forces[:1], rigid)[0].real
+    drawn = balance.compliance.motion(forces, rigid)[0].real
     left = np.abs(balance.static_force_row * forces[0].real + springs * drawn) * held
     unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
     return np.where(left > unsolved, left, 0.0), float(np.abs(balance.basis.synthesise(forces[:, held])).max()) or 1.0
