@@ -41,11 +41,12 @@ class MeanEquation(NamedTuple):
         )
 
 
-def choose_regularisation(group: PairGroup, share: float) -> RealArray:
-    """``(K,)`` that share, less in proportion where weights above the default let pairs creep faster."""
+def choose_regularisation(group: PairGroup) -> RealArray:
+    """``(K,)`` share of the mean force in its equation: where a body hangs on friction, less if large weights creep."""
     omega = 2 * np.pi / group.period if group.period else 1.0
     usual = choose_friction_weight(omega, group.flexibility["tangential"])
-    return np.maximum(share * np.minimum(1.0, usual / group.weight["tangential"]), MEAN_FRICTION_REGULARISATION)
+    share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
+    return np.maximum(share, MEAN_FRICTION_REGULARISATION)
 
 
 def choose_mean_equation(group: PairGroup, static_friction: StaticFriction) -> MeanEquation:
@@ -54,6 +55,6 @@ def choose_mean_equation(group: PairGroup, static_friction: StaticFriction) -> M
     if static_friction == "zero":
         return MeanEquation(0.0, np.ones_like(stiffness), np.zeros_like(stiffness))
     if static_friction == "held":
-        return MeanEquation(1.0, np.zeros_like(stiffness), choose_regularisation(group, HELD) * stiffness)
-    share = choose_regularisation(group, HANGING * group.hangs_on_friction)
+        return MeanEquation(1.0, np.zeros_like(stiffness), HELD * stiffness)
+    share = choose_regularisation(group)
     return MeanEquation(1.0, share, share * stiffness * group.hangs_on_friction)
