@@ -27,7 +27,6 @@ class DynamicCompliance:
     """Compliance of ``m`` contact rows at ``n_h`` harmonics of one frequency.
 
     Attributes:
-        orders: Harmonics.
         omega: Angular frequency [rad/s].
         flexibility: ``(n_h, m, m)`` complex ``H_h`` [m/N].
         free_motion: ``(n_h, m)`` complex motion under the loads alone [m].
@@ -37,7 +36,6 @@ class DynamicCompliance:
         outputs: Name -> ``(n_h, m + 1 + r)`` complex: the output's reaction to row forces, to the load, to rigid modes.
     """
 
-    orders: tuple[int, ...]
     omega: float
     flexibility: ComplexArray
     free_motion: ComplexArray
@@ -125,7 +123,6 @@ def condense(
     rigid = np.zeros((len(orders), readers.shape[0], modes.shape[1]))
     rigid[0] = motion
     return DynamicCompliance(
-        orders=orders,
         omega=omega,
         flexibility=np.ascontiguousarray(responses[:, :m, :m]),
         free_motion=responses[:, :m, m].copy(),

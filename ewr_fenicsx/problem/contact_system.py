@@ -71,7 +71,6 @@ class ContactSystem:
         keep = [self.basis.orders.index(h) for h in orders]
         compliance = replace(
             self.compliance,
-            orders=orders,
             flexibility=self.compliance.flexibility[keep],
             free_motion=self.compliance.free_motion[keep],
             outputs={name: rows[keep] for name, rows in self.compliance.outputs.items()},
