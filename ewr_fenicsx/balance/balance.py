@@ -294,6 +294,15 @@ class HarmonicBalance:
         return np.concatenate([coefficients[self.unknown], balance]) / self.force_unit
 
 
+def pose_at(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> tuple[HarmonicBalance, RealArray]:
+    """The balance of a system and its unknowns ``(size,)`` at forces ``(n_h, m)`` [N], rigid coordinates ``(r,)`` [m].
+
+    In units of these forces, for full stick would take as long as a step.
+    """
+    balance = HarmonicBalance(system, float(np.linalg.norm(forces)) or 1.0)
+    return balance, balance.pack(forces, rigid)
+
+
 def match_rows(system: ContactSystem) -> list[np.ndarray]:
     """``(K,)`` rows of each law's pairs.
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.compliance import find_undamped_modes
@@ -268,8 +268,8 @@ class Followed(NamedTuple):
 
 def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealArray, samples: int) -> Slopes | None:
     """Derivatives of all laws at a solution; None where one is by something else than ``VARIABLES``, or remembers."""
-    balance = HarmonicBalance(system.sample(samples), float(np.linalg.norm(forces)) or 1.0)
-    return Slopes.of(balance.linearise(balance.pack(forces, rigid)).derivatives, balance.rows)
+    balance, unknowns = pose_at(system.sample(samples), forces, rigid)
+    return Slopes.of(balance.linearise(unknowns).derivatives, balance.rows)
 
 
 def follow_modes(system: ContactSystem, reach: float) -> Followed:

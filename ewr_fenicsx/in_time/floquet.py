@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import pose_at
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import (
@@ -103,8 +103,8 @@ def list_unfollowed(system: ContactSystem, forces: ComplexArray, rigid: RealArra
     Args:
         system, forces, rigid: As in ``find_growth``.
     """
-    balance = HarmonicBalance(system, float(np.linalg.norm(forces)) or 1.0)
-    derivatives = balance.linearise(balance.pack(forces, rigid)).derivatives
+    balance, unknowns = pose_at(system, forces, rigid)
+    derivatives = balance.linearise(unknowns).derivatives
     if not any(np.any(d.changes) for d in derivatives):
         return {}
     owners = {row: type(law).__name__ for law, rows in zip(system.laws, balance.law_rows, strict=True) for row in rows}
@@ -168,8 +168,8 @@ def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coo
 
 def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, course: Course) -> bool:
     """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
-    balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
-    here, begin = balance.pack(forces, rigid), balance.pack(course.forces, rigid)
+    balance, here = pose_at(problem.system, forces, rigid)
+    begin = balance.pack(course.forces, rigid)
     found, _ = balance.take_whole_steps(begin, NEWTON_STEPS, SOLVED, course.motion)
     # where none is found, nothing is known
     return found is not None and bool(np.linalg.norm(found - here) > ELSEWHERE * np.linalg.norm(here))

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
 from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
@@ -63,13 +63,12 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
     if not count:
         return False
-    unit = float(np.linalg.norm(forces)) or 1.0
+    solved, unknowns = pose_at(system, forces, rigid)
     try:
-        between = HarmonicBalance(see_between(system, count), unit)
+        between = HarmonicBalance(see_between(system, count), solved.force_unit)
     except ModelError:
         return False
-    solved = HarmonicBalance(system, unit)
-    derivatives = solved.linearise(solved.pack(forces, rigid)).derivatives
+    derivatives = solved.linearise(unknowns).derivatives
     step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
     return find_sign(step.matrix()) < 0
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
@@ -31,12 +31,11 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
         forces: Its solution's contact forces ``(n_h, m)`` [N].
         rigid: Its rigid coordinates ``(r,)`` [m].
     """
-    balance = HarmonicBalance(problem.system, float(np.linalg.norm(forces)) or 1.0)
+    balance, unknowns = pose_at(problem.system, forces, rigid)
     stuck, limit = find_stuck(balance, forces, rigid)
     if not (balance.basis.has_mean and stuck.size):
         return []
     held = HarmonicBalance(hold_in_place(problem).system, balance.force_unit)
-    unknowns = balance.pack(forces, rigid)
     try:
         step = held.linearise(unknowns)
         change = held.unpack(step.solve(step.residual))[0][0].real

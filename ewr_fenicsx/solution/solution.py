@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.floquet import find_growth, grows, list_unfollowed, settles, tell_where_to
 from ewr_fenicsx.in_time.stability import alternates, find_side
@@ -315,9 +315,7 @@ class PeriodicSolution(PeriodicMotion):
         return self.grows or self.alternates or self.multiplier != 0
 
     def _pose(self) -> tuple[HarmonicBalance, RealArray]:
-        """The balance and its unknowns here; in units of these forces, for full stick would take as long as a step."""
-        balance = HarmonicBalance(self.problem.system, float(np.linalg.norm(self.forces)) or 1.0)
-        return balance, balance.pack(self.forces, self.rigid)
+        return pose_at(self.problem.system, self.forces, self.rigid)
 
     @cached_property
     def touches(self) -> bool:
