@@ -64,7 +64,7 @@ class _Neighbour:
         unknowns = self.balance.pack(self.forces, self.rigid)
         if self.balance.size:
             try:
-                unknowns = unknowns - solve_inexactly(self.balance, self.step)
+                unknowns = unknowns - solve_inexactly(self.step)
             except np.linalg.LinAlgError:
                 return None
         return self.adopt(unknowns, "one Newton step")

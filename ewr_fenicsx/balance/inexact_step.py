@@ -24,33 +24,28 @@ TOLERANCE = 0.02  # residual of the step over its right side
 ITERATIONS = 200  # at most, before the exact step is taken
 
 
-def solve_inexactly(balance: HarmonicBalance, step: NewtonStep) -> RealArray:
+def solve_inexactly(step: NewtonStep) -> RealArray:
     """The Newton step at a point whose linearised balance is given, ``(size,)``; exact where that is cheap.
 
     Raises:
         LinAlgError: The Jacobian is singular.
     """
-    found = iterate(balance, step, step.residual, TOLERANCE, ITERATIONS) if is_large(balance, step) else None
+    found = iterate(step, step.residual, TOLERANCE, ITERATIONS) if is_large(step) else None
     return step.solve(step.residual) if found is None else found
 
 
-def is_large(balance: HarmonicBalance, step: NewtonStep) -> bool:
+def is_large(step: NewtonStep) -> bool:
     """Whether an exact step takes longer than one by GMRES."""
-    return step.unknowns_left > FEW and len(balance.basis.orders) > COUPLED
+    return step.unknowns_left > FEW and len(step.balance.basis.orders) > COUPLED
 
 
 def iterate(
-    balance: HarmonicBalance,
-    step: NewtonStep,
-    right_side: RealArray,
-    tolerance: float,
-    iterations: int,
-    shift: float = 0.0,
+    step: NewtonStep, right_side: RealArray, tolerance: float, iterations: int, shift: float = 0.0
 ) -> RealArray | None:
     """``(J + shift)^-1 b`` by GMRES, ``(size,)``; None where so many iterations do not suffice.
 
     Args:
-        balance, step: What is linearised, and the linearised balance.
+        step: The linearised balance.
         right_side: b, ``(size,)``.
         tolerance: Residual over the right side.
         iterations: At most.
@@ -58,12 +53,12 @@ def iterate(
 
     Source: Dembo, Eisenstat and Steihaug (1982), Inexact Newton Methods, doi:10.1137/0719025.
     """
-    comm = PETSc.COMM_SELF
+    comm, size = PETSc.COMM_SELF, step.balance.size
     try:
-        preconditioner = _Uncoupled(balance, step, shift)
+        preconditioner = _Uncoupled(step, shift)
     except np.linalg.LinAlgError:  # of a part by itself; the whole need not be singular
         return None
-    matrix = PETSc.Mat().createPython((balance.size, balance.size), context=preconditioner, comm=comm)
+    matrix = PETSc.Mat().createPython((size, size), context=preconditioner, comm=comm)
     ksp = PETSc.KSP().create(comm)
     ksp.setOptionsPrefix("ewr_inexact_")
     matrix.setUp()
@@ -76,7 +71,7 @@ def iterate(
     pc.setType(PETSc.PC.Type.PYTHON)
     pc.setPythonContext(preconditioner)
     ksp.setFromOptions()
-    b, x = (PETSc.Vec().createSeq(balance.size, comm=comm) for _ in range(2))
+    b, x = (PETSc.Vec().createSeq(size, comm=comm) for _ in range(2))
     try:
         b.array[:] = right_side
         ksp.solve(b, x)
@@ -89,7 +84,8 @@ def iterate(
 class _Uncoupled:
     """The linearised balance as a product, and its inverse where higher harmonics are not coupled."""
 
-    def __init__(self, balance: HarmonicBalance, step: NewtonStep, shift: float = 0.0):
+    def __init__(self, step: NewtonStep, shift: float = 0.0):
+        balance = step.balance
         self.balance, self.step, self.shift = balance, step, shift
         orders = balance.basis.orders
         self.low, self.high = (self._restrict(part) for part in (orders[:COUPLED], orders[COUPLED:]))

@@ -253,11 +253,11 @@ class _HalvedNewton:
         They would take long there. Without, it makes no difference whether they are eliminated or dense.
         """
         equations = self.equations
-        balance, linearised = equations.balance, equations.step
+        linearised = equations.step
         gross = equations.far and np.linalg.norm(linearised.residual) > FAR_FROM
-        if not (gross and is_direct(ksp) and is_large(balance, linearised)):
+        if not (gross and is_direct(ksp) and is_large(linearised)):
             return False
-        found = iterate(balance, linearised, right_side.array_r, FAR_TOLERANCE, FAR_ITERATIONS, equations.shift)
+        found = iterate(linearised, right_side.array_r, FAR_TOLERANCE, FAR_ITERATIONS, equations.shift)
         if found is not None:
             step.array[:] = found
         return found is not None

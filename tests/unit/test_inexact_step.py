@@ -39,32 +39,30 @@ PROBLEMS = {
 
 
 @pytest.fixture(params=PROBLEMS)
-def linearised(request, monkeypatch) -> tuple[HarmonicBalance, NewtonStep]:
-    """At the solution of a few harmonics, with all of them; as if even such small ones were worth the trouble."""
+def step(request, monkeypatch) -> NewtonStep:
+    """Linearised at the solution of a few harmonics, with all; as if even such small ones were worth the trouble."""
     monkeypatch.setattr(inexact_step, "FEW", 0)
     problem = PROBLEMS[request.param]
     balance, low = HarmonicBalance(problem.system), solve(problem)
     forces = low.forces * (np.array(low.orders) < 6)[:, None]
     step = balance.linearise(balance.pack(forces, low.rigid))
     assert step.unknowns_left > 2 * ORDERS, "else there is nothing that changes status"
-    return balance, step
+    return step
 
 
-def test_what_is_left_is_within_the_tolerance(linearised):
-    balance, step = linearised
-    exact, found = step.solve(step.residual), solve_inexactly(balance, step)
+def test_what_is_left_is_within_the_tolerance(step):
+    exact, found = step.solve(step.residual), solve_inexactly(step)
     left = np.linalg.norm(step.residual - step.multiply(found))
     assert 1e-9 * np.linalg.norm(step.residual) < left <= 1.001 * TOLERANCE * np.linalg.norm(step.residual)
     assert np.linalg.norm(found - exact) < 0.2 * np.linalg.norm(exact)
 
 
-def test_where_iterations_do_not_suffice_the_step_is_exact(linearised, monkeypatch):
-    balance, step = linearised
+def test_where_iterations_do_not_suffice_the_step_is_exact(step, monkeypatch):
     monkeypatch.setattr(inexact_step, "ITERATIONS", 1)
-    np.testing.assert_array_equal(solve_inexactly(balance, step), step.solve(step.residual))
+    np.testing.assert_array_equal(solve_inexactly(step), step.solve(step.residual))
 
 
-def test_nothing_stays_in_memory(linearised):
+def test_nothing_stays_in_memory(step):
     """PETSc's objects know the preconditioner, with all its factors, and Python does not see that."""
 
     def count() -> int:
@@ -72,22 +70,21 @@ def test_nothing_stays_in_memory(linearised):
         return sum(isinstance(thing, inexact_step._Uncoupled) for thing in gc.get_objects())
 
     before = count()
-    solve_inexactly(*linearised)
+    solve_inexactly(step)
     assert count() == before
 
 
-def test_small_steps_are_exact(linearised, monkeypatch):
-    balance, step = linearised
+def test_small_steps_are_exact(step, monkeypatch):
     monkeypatch.setattr(inexact_step, "FEW", step.unknowns_left)
-    np.testing.assert_array_equal(solve_inexactly(balance, step), step.solve(step.residual))
+    np.testing.assert_array_equal(solve_inexactly(step), step.solve(step.residual))
 
 
-def test_uncoupled_harmonics_are_inverted_exactly(linearised):
+def test_uncoupled_harmonics_are_inverted_exactly(step):
     """The preconditioner is the inverse where no row changes status."""
-    balance, step = linearised
+    balance = step.balance
     first = [replace(d, values=np.tile(d.values[0], (len(d.values), 1))) for d in step.derivatives]
     step = NewtonStep(balance, tuple(first), step.residual)
-    preconditioner = inexact_step._Uncoupled(balance, step)
+    preconditioner = inexact_step._Uncoupled(step)
     x = np.random.default_rng(4).normal(size=balance.size)
 
     class Vector:
@@ -113,4 +110,4 @@ def test_what_springs_remember_spoils_no_preconditioner(gap, most, monkeypatch):
     forces[: len(low.orders)] = low.forces
     step = balance.linearise(balance.pack(forces, low.rigid))
     monkeypatch.setattr(NewtonStep, "solve", lambda *_: pytest.fail("GMRES took too many iterations"))
-    solve_inexactly(balance, step)
+    solve_inexactly(step)
