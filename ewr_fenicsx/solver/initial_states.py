@@ -11,6 +11,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.snes import run_newton
 
@@ -56,22 +57,20 @@ def is_held_by_friction(problem: ContactProblem) -> bool:
     return any(law.static_target is not None and law.opposes == "velocity" for law in problem.system.laws)
 
 
-def find_full_stick(problem: ContactProblem) -> PeriodicSolution:
-    """The linear periodic solution in which no pair opens or slips."""
+def find_full_stick(problem: ContactProblem) -> PeriodicMotion:
+    """The linear periodic motion in which no pair opens or slips."""
     forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
     if problem.system.rows.shape[0]:
         forces, rigid = HarmonicBalance(problem.system).full_stick
-    return PeriodicSolution(problem, forces, rigid, True, "full stick", 0, (), 0.0, 0.0, 0)
+    return PeriodicMotion(problem, forces, rigid)
 
 
-def find_rest(problem: ContactProblem) -> PeriodicSolution | None:
+def find_rest(problem: ContactProblem) -> PeriodicMotion | None:
     """The static solution of the laws under the means of the load and of normal forces that are given, if found."""
     static = keep_means(problem)
     balance = HarmonicBalance(static.system)
     found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
-    if not found.converged:
-        return None
-    return PeriodicSolution(static, *balance.unpack(found.unknowns), True, "at rest", 0, (), found.residual, 0.0, 0)
+    return PeriodicMotion(static, *balance.unpack(found.unknowns)) if found.converged else None
 
 
 def keep_means(problem: ContactProblem) -> ContactProblem:
