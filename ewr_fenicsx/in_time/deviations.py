@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 STEPS_IN_TIME, THETA = 512, 0.52  # a period of the motion in time; they damp what they do not resolve
 FINE_STEPS, FINE_THETA = 1024, 0.505  # where it counts whether it settles: more damping has it settle too soon
 PERIODS = 3  # looked at, after a first one
-CONTACT_TOLERANCE, SWEEPS, BOUND = 1e-6, 200, 1e100  # of a step; and a motion past this has left
+CONTACT_TOLERANCE, SWEEPS = 1e-6, 200  # of a step
 VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the laws: nothing is remembered
 SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
 TOGETHER = 64  # steps whose matrices are held at a time
@@ -216,12 +216,10 @@ def step_from(
     problem: ContactProblem, coordinates: ComplexArray, steps: int, theta: float
 ) -> Iterator[tuple[TimeScheme, Period]]:
     """The motion in time that begins on a solution, period by period, within bounds."""
-    from ewr_fenicsx.in_time.time_stepping import State, TimeScheme  # only for those whose deviations grow
+    from ewr_fenicsx.in_time.time_stepping import BOUND, State, TimeScheme  # only for those whose deviations grow
 
     scheme = TimeScheme(problem, steps, theta)
-    rate = 1j * problem.omega * np.array(problem.basis.orders)
-    state = State(coordinates.sum(axis=0).real, (rate @ coordinates).real)
-    position, velocity, carried = scheme.begin(state)
+    position, velocity, carried = scheme.begin(State.of(problem, coordinates))
     while True:
         period = scheme.run_period(position, velocity, carried, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):

@@ -36,6 +36,7 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import sample_amplitudes
 
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
+BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
 # Share of a mode's mass in its inertia of a step from which down the step does not resolve it at all; its least theta.
 _TOO_FAST, _FOLLOWING = 1e-3, 0.6
@@ -48,6 +49,12 @@ class State:
 
     position: RealArray
     velocity: RealArray
+
+    @classmethod
+    def of(cls, problem: ContactProblem, coordinates: ComplexArray) -> State:
+        """State of a periodic motion of a problem, by its amplitudes ``(n_h, n)``."""
+        rate = 1j * problem.omega * np.array(problem.basis.orders)
+        return cls(coordinates.sum(axis=0).real, (rate @ coordinates).real)
 
 
 class Carried(NamedTuple):

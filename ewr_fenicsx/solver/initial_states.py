@@ -40,9 +40,9 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
             position = found.coordinates[0].real if has_mean else np.zeros(problem.model.size)
             state = State(position, np.zeros(problem.model.size))
         else:
-            state = state_of(found)
+            state = State.of(problem, found.coordinates)
     elif isinstance(start, PeriodicSolution):
-        state = state_of(start)
+        state = State.of(start.problem, start.coordinates)
     else:
         raise ModelError(f"start is of type {type(start).__name__}; {_STARTS}")
     for name in ("position", "velocity"):
@@ -82,10 +82,3 @@ def keep_means(problem: ContactProblem) -> ContactProblem:
         for pairs, laws in problem.groups
     ]
     return replace(problem, frequency=0.0, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
-
-
-def state_of(solution: PeriodicSolution) -> State:
-    """State of a periodic solution at ``tau = 0``."""
-    amplitudes = solution.coordinates
-    rate = 1j * solution.problem.omega * np.array(solution.orders)
-    return State(amplitudes.sum(axis=0).real, (rate @ amplitudes).real)

@@ -12,14 +12,13 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.periodicity import Anderson, Watch, walks_on
-from ewr_fenicsx.in_time.time_stepping import FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
+from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution.periodic_motion import SECOND
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.initial_states import choose_start
 
-_BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
@@ -311,7 +310,7 @@ def integrate(
             last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
             end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
             sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
-            if not np.all(np.abs(end) < _BOUND):
+            if not np.all(np.abs(end) < BOUND):
                 reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"
                 changes.append(np.inf)
                 break

@@ -11,7 +11,7 @@ from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.in_time.time_stepping import TimeScheme
+from ewr_fenicsx.in_time.time_stepping import State, TimeScheme
 from ewr_fenicsx.solver import initial_states
 from ewr_fenicsx.solver.time_integration import integrate
 
@@ -70,7 +70,7 @@ def test_a_motion_begins_with_the_contact_force_that_its_start_has(damping):
     )
     found = solve(ContactProblem(model, replace(STOP, initial_gap=0.5), 0.16, 21))
     scheme = TimeScheme(found.problem, 400)
-    impulse = scheme.begin(initial_states.state_of(found))[2].impulse
+    impulse = scheme.begin(State.of(found.problem, found.coordinates))[2].impulse
     assert impulse / scheme.dt == pytest.approx(found.history("normal_force", 8)[0], rel=1e-6)
 
 
