@@ -18,21 +18,15 @@ SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goe
 FEW_SAMPLES, FEW_A_HARMONIC = 16, 3
 
 
-def restrict(balance: HarmonicBalance, orders: tuple[int, ...]) -> HarmonicBalance:
-    """The balance with fewer harmonics."""
-    return HarmonicBalance(balance.system.restrict(orders), balance.force_unit)
-
-
-def find_loaded(balance: HarmonicBalance) -> list[int]:
-    """Harmonics with a load."""
-    return [h for h, f in balance.system.load.items() if np.any(f)]
-
-
-def choose_sets(orders: tuple[int, ...], levels: tuple[int, ...], loaded: list[int]) -> list[tuple[int, ...]]:
-    """Growing sets of harmonics up to each of ``levels``, all with the loaded ones, that end with ``orders``."""
-    lowest = max([h for h in loaded if h], default=1)
+def grow_sets(balance: HarmonicBalance, levels: tuple[int, ...]) -> Iterator[HarmonicBalance]:
+    """The balance with its harmonics up to each of ``levels``, all with the loaded ones, and at last itself."""
+    system, orders = balance.system, balance.basis.orders
+    lowest = max((h for h, f in system.load.items() if h and np.any(f)), default=1)
     sets = [tuple(h for h in orders if h <= top) for top in levels if lowest <= top and 1.6 * top < orders[-1]]
-    return [s for s in dict.fromkeys(sets) if s and s != (0,)] + [orders]
+    for fewer in dict.fromkeys(sets):
+        if fewer and fewer != (0,):
+            yield HarmonicBalance(system.restrict(fewer), balance.force_unit)
+    yield balance
 
 
 def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: HarmonicBalance):
@@ -62,8 +56,7 @@ def come_near_through_sets(balance: HarmonicBalance, begin: Callable[[Splitting]
     the only one.
     """
     start = None
-    for orders in choose_sets(balance.basis.orders, SPLIT_LEVELS, find_loaded(balance)):
-        level = balance if orders == balance.basis.orders else restrict(balance, orders)
+    for level in grow_sets(balance, SPLIT_LEVELS):
         looks = come_near(level, begin)
         if (found := next(looks, None)) is None:
             break

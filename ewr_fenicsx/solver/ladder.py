@@ -27,7 +27,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.smoothing import round_corners
 from ewr_fenicsx.model.compliance import condense
 from ewr_fenicsx.solver.continuation import BalanceAt, BranchPoint, trace_branch
-from ewr_fenicsx.solver.growing_sets import choose_sets, come_near_through_sets, embed, find_loaded, restrict
+from ewr_fenicsx.solver.growing_sets import come_near_through_sets, embed, grow_sets
 from ewr_fenicsx.solver.long_splitting import split_at_length
 from ewr_fenicsx.solver.newton_path import can_follow, run_and_follow
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
@@ -129,12 +129,10 @@ def climb(
     tried: on larger ones steps take long, and hardly any solution is found from there.
     """
     below, attempt, steps, held = None, None, 0, None
-    for orders in choose_sets(balance.basis.orders, levels, find_loaded(balance)):
-        last = orders == balance.basis.orders
-        level = balance if last else restrict(balance, orders)
+    for level in grow_sets(balance, levels):
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
         run, goal, most = run_newton, coarse_tolerance, COARSE_STEPS
-        if last:
+        if level is balance:
             run, goal, most = run_and_follow, tolerance, limit or (LAST_STEPS if can_follow(level) else None)
         attempt = run(level, level.pack(*guess), goal, linear_solver, most, near=below is not None)
         if rungs and below is not None and not attempt.converged:
@@ -147,7 +145,7 @@ def climb(
         steps += attempt.iterations
         below = level
         if attempt.converged:
-            held = orders[-1]
+            held = level.basis.orders[-1]
         elif balance.size > LARGEST_TRACED and attempt.residual > CORNERED[1] and not all_sets:
             break
     if level is not balance:
