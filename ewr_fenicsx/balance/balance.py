@@ -182,7 +182,7 @@ class HarmonicBalance:
         """What each law sees of signals, variable -> what computes it at all rows over one period ``(samples, m)``."""
         seen = []
         for law in self.system.laws:
-            columns = {d: rows[law.pairs] for d, rows in self.system.index.items() if np.all(rows[law.pairs] >= 0)}
+            columns = self.system.rows_of(law.pairs)
             variables = {name: Signal(at_rows, columns) for name, at_rows in signals.items()}
             if "normal" not in columns:
                 given = cache(partial(sample_amplitudes, self.system.prescribed, law.pairs, samples))

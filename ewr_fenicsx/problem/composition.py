@@ -125,7 +125,7 @@ def build_laws(
     rubs_to_hold: bool,
 ) -> list[Law]:
     """Law objects of one group of pairs."""
-    rows = {d: at[pairs] for d, at in layout.index.items() if np.all(at[pairs] >= 0)}
+    rows = layout.rows_of(pairs)
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
     masses = {d: choose_closing_mass(problem, pairs, layout, d, rubs_to_hold) for d in rows if d != "normal"}

@@ -66,6 +66,10 @@ class ContactSystem:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
         return self.layout.row_of(direction, pairs)
 
+    def rows_of(self, pairs: np.ndarray) -> dict[str, np.ndarray]:
+        """Direction -> row of each of ``pairs``, for directions in which an unknown force acts at all of them."""
+        return self.layout.rows_of(pairs)
+
     def restrict(self, orders: tuple[int, ...]) -> ContactSystem:
         """The same system with fewer harmonics; nothing is computed anew."""
         keep = [self.basis.orders.index(h) for h in orders]

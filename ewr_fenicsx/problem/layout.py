@@ -85,6 +85,10 @@ class Layout:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
         return self.index[direction][pairs] if direction in self.index else np.full(pairs.size, -1)
 
+    def rows_of(self, pairs: np.ndarray) -> dict[str, np.ndarray]:
+        """Direction -> row of each of ``pairs``, for directions in which an unknown force acts at all of them."""
+        return {d: at[pairs] for d, at in self.index.items() if np.all(at[pairs] >= 0)}
+
 
 @lru_cache(maxsize=16)
 def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:

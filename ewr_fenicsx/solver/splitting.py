@@ -149,8 +149,7 @@ class Splitting:
 
     def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, ComplexArray, RealArray], None]:
         """Writes what a law admits: it sees trial forces of its own side, and the truncated ones of the other."""
-        index = self.balance.system.index
-        columns = {d: at[law.pairs] for d, at in index.items() if np.all(at[law.pairs] >= 0)}
+        columns = self.balance.system.rows_of(law.pairs)
         own = {d: at for d, at in columns.items() if (d == "normal") == (law.direction == "normal")}
         other = {d: at for d, at in columns.items() if d not in own}
         given = {}
