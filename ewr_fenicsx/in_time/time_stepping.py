@@ -169,7 +169,6 @@ class TimeScheme:
         m, total = system.rows.shape[0], problem.model.pairs
         self.kind, self.partner, self.twin = np.full(m, -1), np.full(m, -1), np.full(m, -1)
         self.friction, self.initial_gap = np.zeros(m), np.zeros(m)
-        self.pair_gap = np.zeros(total)
         self.given_limit = np.zeros((self.steps, m))
         order = []
         for pairs, laws in problem.groups:
@@ -179,7 +178,7 @@ class TimeScheme:
             normal, tangential = system.row_of("normal", pairs), system.row_of("tangential", pairs)
             if np.all(normal >= 0):
                 self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
-                self.pair_gap[pairs] = self.initial_gap[normal] = problem.clearance[pairs]
+                self.initial_gap[normal] = problem.clearance[pairs]
             if laws.tangential == "coulomb":
                 self.kind[tangential] = FRICTION
                 self.partner[tangential] = normal

@@ -143,7 +143,7 @@ class SteadyState:
             return resample(force, self.scheme.theta, samples)
         if name == "gap":
             opening = zero if model.normal is None else self.last.positions[:-1] @ (model.normal @ expansion).T
-            return resample(opening + self.scheme.pair_gap, 0.0, samples)
+            return resample(opening + self.problem.clearance, 0.0, samples)
         motion = self.last.positions[:-1] if name == "slip" else self._rates
         slip = motion @ (model.rows(along) @ expansion).T if model.tangents else zero
         return resample(slip, 0.0, samples)

@@ -427,4 +427,4 @@ def test_wear_opens_the_joint_as_an_initial_gap_does():
     worn = TimeScheme(ContactProblem(model, ContactLaws(), 0.1, 3, wear=np.array([depth])), 50)
     apart = TimeScheme(ContactProblem(model, ContactLaws(initial_gap=depth), 0.1, 3), 50)
     np.testing.assert_array_equal(worn.initial_gap, apart.initial_gap)
-    np.testing.assert_array_equal(worn.pair_gap, [depth])
+    np.testing.assert_array_equal(worn.problem.clearance, [depth])
