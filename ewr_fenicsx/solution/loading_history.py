@@ -15,7 +15,6 @@ from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
-from ewr_fenicsx.laws.contact_laws import ContactLaws
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 
 # Mean friction over its limit, and what it changes of a mean normal force over the largest one, from where on the
@@ -75,7 +74,4 @@ def find_stuck(balance: HarmonicBalance, forces: ComplexArray, rigid: RealArray)
 
 def hold_in_place(problem: ContactProblem) -> ContactProblem:
     """The problem with friction that holds its pairs where they are without loads."""
-    hold = lambda laws: replace(laws, static_friction="held")  # noqa: E731
-    if isinstance(problem.laws, ContactLaws):
-        return replace(problem, laws=hold(problem.laws))
-    return replace(problem, laws=[(pairs, hold(laws)) for pairs, laws in problem.groups])
+    return replace(problem, laws=[(pairs, replace(laws, static_friction="held")) for pairs, laws in problem.groups])
