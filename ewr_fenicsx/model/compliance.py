@@ -172,7 +172,7 @@ class Responses:
         return self.modes is not None and (h != 0 or self.generalised_inverse != "pinned")
 
     def _solve(self, h: int, forces: ComplexArray) -> ComplexArray:
-        return receptance(self.model, h * self.omega, self.readers, forces, self.generalised_inverse)
+        return self.readers @ solve_directly(self.model, h * self.omega, forces, self.generalised_inverse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,17 +265,11 @@ def find_undamped_modes(model: ReducedModel) -> NormalModes | None:
     return NormalModes(shapes, stiffness, mass, np.einsum("ij,ij->j", shapes, model.damping @ shapes))
 
 
-def receptance(
-    model: ReducedModel,
-    omega: float,
-    readers: RealArray | None,
-    forces: ComplexArray,
-    generalised_inverse: GeneralisedInverse = "inertia relief",
-) -> ComplexArray:
+def receptance(model: ReducedModel, omega: float, readers: RealArray | None, forces: ComplexArray) -> ComplexArray:
     """``C Z(omega)^-1 F``: what rows ``C (p, n)`` read of the response to harmonic forces ``F (n, k)``.
 
-    By modal superposition where the modes uncouple the model, else by one factorisation of ``Z``; at zero frequency
-    a generalised inverse. Without rows, all coordinates.
+    By modal superposition where the modes uncouple the model, else as ``solve_directly``. Without rows, all
+    coordinates.
 
     Returns:
         ``(p, k)`` complex.
@@ -285,15 +279,28 @@ def receptance(
     """
     read = (lambda response: response) if readers is None else (lambda response: readers @ response)
     modes = find_normal_modes(model)
-    if modes is None or (omega == 0 and generalised_inverse == "pinned"):
-        if omega == 0:
-            return read(solve_static(model, forces, generalised_inverse))
-        impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
-        try:
-            return read(scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True))
-        except np.linalg.LinAlgError:
-            raise hit_undamped_mode(omega) from None
+    if modes is None:
+        return read(solve_directly(model, omega, forces, "inertia relief"))
     return superpose(read(modes.shapes), modes.gain(omega), modes.shapes.T @ forces)
+
+
+def solve_directly(
+    model: ReducedModel, omega: float, forces: ComplexArray, generalised_inverse: GeneralisedInverse
+) -> ComplexArray:
+    """``Z(omega)^-1 F``: coordinates ``(n, k)`` under harmonic forces ``(n, k)``, by one factorisation of ``Z``.
+
+    At zero frequency a generalised inverse, as in ``solve_static``.
+
+    Raises:
+        ModelError: The frequency hits an undamped mode exactly.
+    """
+    if omega == 0:
+        return solve_static(model, forces, generalised_inverse)
+    impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
+    try:
+        return scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True)
+    except np.linalg.LinAlgError:
+        raise hit_undamped_mode(omega) from None
 
 
 def measure_resistance(model: ReducedModel, rows: RealArray, omega: float) -> RealArray:
@@ -317,9 +324,7 @@ def superpose(read: RealArray, gain: ComplexArray, excited: ComplexArray) -> Com
     return result
 
 
-def solve_static(
-    model: ReducedModel, forces: ComplexArray, generalised_inverse: GeneralisedInverse = "inertia relief"
-) -> ComplexArray:
+def solve_static(model: ReducedModel, forces: ComplexArray, generalised_inverse: GeneralisedInverse) -> ComplexArray:
     """``K^+ F``: static coordinates ``(n, k)``; for balanced forces the exact response up to a rigid motion.
 
     Args:

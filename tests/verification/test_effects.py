@@ -102,16 +102,16 @@ def test_a_wear_coefficient_of_zero_is_no_wear():
 def test_a_linear_scene_is_one_solve_a_harmonic(monkeypatch):
     """Of the model's equations at each harmonic: not two, and none of contact rows; where modes do not uncouple it."""
     taken = []
-    original = compliance.receptance
+    original = compliance.solve_directly
 
-    def counted(model, omega, readers, forces, *rest):
+    def counted(model, omega, forces, *rest):
         taken.append((omega, forces.shape[1]))
-        return original(model, omega, readers, forces, *rest)
+        return original(model, omega, forces, *rest)
 
     problem = pose(BONDED)
     dashpot = np.diag(problem.model.damping.diagonal() * np.linspace(0.0, 1.0, problem.model.size))
     problem = replace(problem, model=replace(problem.model, damping=problem.model.damping + dashpot))
-    monkeypatch.setattr(compliance, "receptance", counted)
+    monkeypatch.setattr(compliance, "solve_directly", counted)
     solution = solve(problem)
     assert [columns for _, columns in taken] == [1] * len({h for h, f in problem.loads.items() if np.any(f)})
     assert solution.reason == "linear" and solution.iterations == 0
