@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 from scipy import sparse
@@ -19,7 +18,7 @@ _SEEN = 1e-6
 _SIDES = 32  # of the polygon around the disk of friction forces in a plane; at its corners they are 0.5 % too large
 
 
-def find_holding(
+def takes_friction(
     normal_motion: RealArray,
     tangential_motion: RealArray,
     smallest: RealArray,
@@ -27,8 +26,8 @@ def find_holding(
     friction: RealArray,
     rigid_load: RealArray,
     limit: RealArray,
-) -> Literal["normal", "friction"]:
-    """What holds the floating bodies: normal forces alone, or friction as well.
+) -> bool:
+    """Whether it takes friction to hold the floating bodies, or normal forces do alone.
 
     A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
     With two tangents a polygon stands for the disk ``|lam_T|``. The last answers are remembered: every frequency of a
@@ -47,11 +46,11 @@ def find_holding(
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens, or else slides along, most.
     """
     arrays = normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit
-    return _find_holding(*((array.tobytes(), array.shape) for array in arrays))
+    return _takes_friction(*((array.tobytes(), array.shape) for array in arrays))
 
 
 @lru_cache(maxsize=64)
-def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "friction"]:
+def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
     arrays = (np.frombuffer(numbers).reshape(shape) for numbers, shape in packed)
     normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = arrays
     r = rigid_load.size
@@ -60,7 +59,7 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
     bounds = list(zip(smallest, largest, strict=True))
     nothing = 0 * friction
     if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
-        return "normal"
+        return False
     rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
     pulls = (smallest < 0) & (friction > 0)
     if rest > _BALANCED and np.any(pulls):
@@ -96,7 +95,7 @@ def _find_holding(*packed: tuple[bytes, tuple[int, ...]]) -> Literal["normal", "
             "prescribed normal force, or support the body",
             worst,
         )
-    return "friction"
+    return True
 
 
 def list_most(moved: RealArray) -> list[int]:

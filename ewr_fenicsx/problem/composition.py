@@ -17,7 +17,7 @@ from ewr_fenicsx.laws.contact_laws import ContactLaws
 from ewr_fenicsx.laws.law_kinds import Law, PairGroup, choose_friction_weight, spread_over_pairs
 from ewr_fenicsx.model.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
-from ewr_fenicsx.model.statics import find_holding
+from ewr_fenicsx.model.statics import takes_friction
 from ewr_fenicsx.problem.closure import find_masses, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
@@ -205,4 +205,4 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    return find_holding(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs) == "friction"
+    return takes_friction(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
