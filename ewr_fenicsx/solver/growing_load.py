@@ -36,8 +36,6 @@ def grow_load(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> At
     Returns:
         The solution, or the ``failed`` attempt with what became of this one; the steps of both counted.
     """
-    if balance.size > LARGEST_TRACED:
-        return failed
     levels, steps = [sample_anew(balance, samples) for samples in choose_samples(balance)], failed.iterations
     for _ in range(BEGINS if balance.size > SMALL else len(levels)):
         grown, levels = _grow(levels, tolerance)

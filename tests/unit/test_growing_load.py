@@ -104,5 +104,3 @@ def test_what_takes_too_long_is_left(balance, monkeypatch):
     monkeypatch.setattr(growing_load, "GROWN_CORNERS", 10)
     lost = grow_load(balance, 1e-9, failed)
     assert not lost.converged and lost.reason.endswith("of the load in 10 corners")
-    monkeypatch.setattr(growing_load, "LARGEST_TRACED", balance.size - 1)
-    assert grow_load(balance, 1e-9, failed) is failed
