@@ -115,14 +115,16 @@ class Coulomb(FrictionLaw):
         return 1 / self.rho
 
     def evaluate(self, motion: Motion) -> Response:
-        force, normal, limit = motion.force["tangential"], motion.force["normal"], self.limit(motion.force)
-        trial = force - motion.velocity["tangential"] / self.rho
+        normal, limit, trial = motion.force["normal"], self.limit(motion.force), self.try_stick(motion)
         sides = normal > 0, trial >= limit, trial > -limit
-        return Response(force - project_on_cone(trial, limit), self.differentiate(sides))
+        return Response(motion.force["tangential"] - project_on_cone(trial, limit), self.differentiate(sides))
+
+    def try_stick(self, motion: Motion) -> RealArray:
+        """Force ``(n_t, K)`` that would make the pair stick [N]."""
+        return motion.force["tangential"] - motion.velocity["tangential"] / self.rho
 
     def find_corners(self, motion: Motion) -> tuple[RealArray, ...]:
-        normal = motion.force["normal"]
-        trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
+        normal, trial = motion.force["normal"], self.try_stick(motion)
         return normal, trial - self.friction * normal, trial + self.friction * normal
 
     def differentiate(self, sides: Sequence[np.ndarray]) -> tuple[Partial, ...]:
@@ -136,8 +138,7 @@ class Coulomb(FrictionLaw):
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        limit = self.limit(motion.force)
-        trial = motion.force["tangential"] - motion.velocity["tangential"] / self.rho
+        limit, trial = self.limit(motion.force), self.try_stick(motion)
         return {"admissible_friction_force": project_on_cone(trial, limit), "slipping": np.abs(trial) >= limit}
 
     def rounded(self, width: float) -> Law:
@@ -148,12 +149,11 @@ class RoundedCoulomb(Rounded):
     """``lam_T - clip(lam_T - v / rho, -mu c, mu c) = 0`` with ``c = max(0, lam_N)``, both rounded."""
 
     def evaluate(self, motion: Motion) -> Response:
-        law, force = self.exact, motion.force["tangential"]
+        law = self.exact
         cone, opening = round_positive_part(motion.force["normal"], self.width)
-        trial = force - motion.velocity["tangential"] / law.rho
-        value, by_trial, by_limit = round_clip(trial, law.friction * cone, self.width)
+        value, by_trial, by_limit = round_clip(law.try_stick(motion), law.friction * cone, self.width)
         return Response(
-            force - value,
+            motion.force["tangential"] - value,
             (
                 Partial("force", "tangential", 1 - by_trial),
                 Partial("velocity", "tangential", by_trial / law.rho),
