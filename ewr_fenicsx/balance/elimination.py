@@ -113,7 +113,7 @@ class Elimination:
         derivatives: Sequence[Derivative],
         steady: np.ndarray,
         load: RealArray,
-        shift: RealArray | None = None,
+        shift: RealArray | None,
     ) -> Elimination:
         """Eliminate the rows ``steady`` of J plus a diagonal ``shift``, ``(n_h, m)``, for a right side ``(n_c, m)``."""
         basis = balance.basis
@@ -183,7 +183,7 @@ class Elimination:
 
 
 def invert_steady(
-    balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, shift: RealArray | None = None
+    balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, shift: RealArray | None
 ) -> ComplexArray:
     """``(n_h, c, c)`` inverse of J at each harmonic, for steady rows ``(c,)`` by themselves; ``shift`` is ``(n_h, m)``.
 

@@ -39,7 +39,7 @@ class Hill:
 
     Args:
         system: What was solved.
-        slopes: The laws' derivatives, at any number of samples more than four times the highest harmonic.
+        slopes: The laws' derivatives, at any number of samples more than twice the highest harmonic.
         exponent: s [1/s].
         top: N.
 

@@ -11,8 +11,8 @@ only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pai
 M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size rows
 x coordinates beside the contact solve. With 1/2, modes without mass, or far too fast for the step, would ring from step
 to step for ever: they have a ``theta`` of their own, and follow impulses extrapolated to it, from the last two steps:
-``p_k + (theta_own - theta) (p_k - p_(k-1))``. The laws are written again here, apart from ``contact_laws``: this is the
-second formulation, by which the first is judged.
+``p_k + (theta_own - theta) (p_k - p_(k-1))``. The laws are written again here, apart from the folder ``laws``: this is
+the second formulation, by which the first is judged.
 
 Source: Moreau (1988), doi:10.1007/978-3-7091-2624-0_1; Stewart & Trinkle (1996),
 doi:10.1002/(SICI)1097-0207(19960815)39:15<2673::AID-NME972>3.0.CO;2-I.

@@ -50,7 +50,7 @@ def trace_branch(
     start: BranchPoint,
     span: float,
     *,
-    step: float = 0.1,
+    step: float,
     smallest_step: float = 1e-4,
     largest_step: float = np.inf,
     tolerance: float = 1e-8,

@@ -48,7 +48,7 @@ def run_and_follow(
     start: RealArray,
     tolerance: float,
     linear_solver: LinearSolver,
-    limit: int | None = None,
+    limit: int | None,
     *,
     near: bool = False,
     most: int | None = None,
