@@ -146,6 +146,11 @@ class Structure:
         links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
         return connect(*links.T, count)
 
+    @cached_property
+    def clamped(self) -> np.ndarray:
+        """Global numbers of all clamped degrees of freedom, rising, the same on every rank; collective on first use."""
+        return np.concatenate(self.mass.comm.tompi4py().allgather(self.fixed_dofs))
+
 
 def connect(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Connected component of each of ``count`` nodes ``(count,)``, by pairs of nodes that are joined."""

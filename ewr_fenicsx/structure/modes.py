@@ -130,8 +130,7 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
     stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
     part = structure.part
     bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
-    fixed = np.concatenate(structure.mass.comm.tompi4py().allgather(structure.fixed_dofs))
-    clamped = np.isin(bonded, bonded[part[fixed // 2]]).all()
+    clamped = np.isin(bonded, bonded[part[structure.clamped // 2]]).all()
     # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
     shift = 0.0 if clamped else -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum()
     modes = solve_modes(stiffness, mass, count, shift=shift)
@@ -149,9 +148,8 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     first, last = structure.mass.getOwnershipRange()
     follower = (2 * interface.nodes_b[:, None] + np.arange(2)).ravel()
     leader = (2 * interface.nodes_a[:, None] + np.arange(2)).ravel()
-    fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
     # a pair with one clamped node is clamped
-    held = np.union1d(fixed, leader[np.isin(follower, fixed)])
+    held = np.union1d(structure.clamped, leader[np.isin(follower, structure.clamped)])
     kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
     start = comm.exscan(len(kept)) or 0
     columns = np.concatenate(comm.allgather(kept))
@@ -173,7 +171,7 @@ def find_floating_parts(structure: Structure, interface: Interface) -> tuple[np.
         ModesError: A part is neither clamped nor in contact; names its bodies.
     """
     comm, part = structure.mass.comm.tompi4py(), structure.part
-    clamped = part[np.concatenate(comm.allgather(structure.fixed_dofs // 2))]
+    clamped = part[structure.clamped // 2]
     touching = part[np.concatenate([interface.nodes_a, interface.nodes_b])]
     loose = np.setdiff1d(part, np.concatenate([clamped, touching]))
     nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}

@@ -66,9 +66,8 @@ class CraigBampton:
 
     @property
     def most_modes(self) -> int:
-        """How many fixed-interface modes there are; collective."""
-        clamped = self.structure.mass.comm.tompi4py().allreduce(len(self.structure.fixed_dofs))
-        return self.structure.mass.getSize()[0] - clamped - len(self.contact_dofs)
+        """How many fixed-interface modes there are."""
+        return self.structure.mass.getSize()[0] - len(self.structure.clamped) - len(self.contact_dofs)
 
     @property
     def full_stick_ratio(self) -> float:
@@ -113,8 +112,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     find_floating_parts(structure, interface)  # before a singular matrix is factorised
     comm = structure.mass.comm.tompi4py()
     first = structure.mass.getOwnershipRange()[0]
-    fixed = np.concatenate(comm.allgather(structure.fixed_dofs))
-    contact = _contact_dofs(interface, fixed)
+    contact = _contact_dofs(interface, structure.clamped)
     columns = len(contact) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
     _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), columns, len(interface.area))
     interior = _cut_interior(structure, contact)
