@@ -164,8 +164,8 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     return tie
 
 
-def find_floating_parts(structure: Structure, interface: Interface) -> tuple[np.ndarray, np.ndarray]:
-    """Parts that contact alone holds, and the part of each node ``(all nodes,)``; collective.
+def find_floating_parts(structure: Structure, interface: Interface) -> np.ndarray:
+    """Numbers of the parts that contact alone holds, rising; collective.
 
     Raises:
         ModesError: A part is neither clamped nor in contact; names its bodies.
@@ -180,7 +180,7 @@ def find_floating_parts(structure: Structure, interface: Interface) -> tuple[np.
             f"nothing holds {' and '.join(names)}, or a piece of it: no node of it is clamped or in contact; clamp it, "
             "let it share nodes with what is held, or leave it out"
         )
-    return np.setdiff1d(touching, clamped), part
+    return np.setdiff1d(touching, clamped)
 
 
 def use_mumps(solver: PETSc.KSP) -> None:

@@ -355,14 +355,13 @@ def _rigid_motions(
     structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
 ) -> np.ndarray:
     """Two translations and a rotation of each part that only contact holds, ``(n, r)``, columns of size 1."""
-    floating, part = find_floating_parts(structure, interface)
     nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
     position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
     place = np.array([position[int(dof) // 2] for dof in contact])
     along_x = contact % 2 == 0
     motions = []
-    for number in floating:
-        mine = part[contact // 2] == number
+    for number in find_floating_parts(structure, interface):
+        mine = structure.part[contact // 2] == number
         offset = place - place[mine].mean(axis=0)
         offset /= np.abs(offset[mine]).max()
         for motion in (along_x, ~along_x, np.where(along_x, -offset[:, 1], offset[:, 0])):
