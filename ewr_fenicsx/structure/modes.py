@@ -152,14 +152,13 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     held = np.union1d(structure.clamped, leader[np.isin(follower, structure.clamped)])
     kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
     start = comm.exscan(len(kept)) or 0
-    columns = np.concatenate(comm.allgather(kept))
+    columns = np.concatenate(comm.allgather(kept))  # rising
     tie = PETSc.Mat().createAIJ(((last - first, None), (len(kept), None)), nnz=1, comm=structure.mass.comm)
     for k, row in enumerate(kept):
         tie.setValue(row, start + k, 1.0)
-    position = {int(dof): k for k, dof in enumerate(columns)} if comm.size > 1 else None
     for row, to in zip(follower, leader, strict=True):
         if first <= row < last and not np.isin(to, held):
-            tie.setValue(row, position[int(to)] if position is not None else np.searchsorted(kept, to), 1.0)
+            tie.setValue(row, np.searchsorted(columns, to), 1.0)
     tie.assemble()
     return tie
 
