@@ -13,6 +13,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.elasticity import boundary_facets
+from ewr_fenicsx.structure.facing import find_body_of_cells
 
 
 @dataclass(frozen=True)
@@ -78,12 +79,11 @@ def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cel
         field = dolfinx.fem.Function(_compat.function_space(domain, "Lagrange", 1, (2,)))
     field = vertex_interpolation(field.function_space, (2,))(field)
     owned = np.arange(domain.topology.index_map(2).size_local)
-    body = np.zeros(owned.size + domain.topology.index_map(2).num_ghosts, dtype=np.int32)
-    body[chain.mesh.cell_tags.indices] = chain.mesh.cell_tags.values
+    body = find_body_of_cells(chain.mesh)[owned]
     dofs = _compat.cell_dofs(field.function_space, owned).reshape(owned.size, -1)
     if dofs.shape[1] == 4:
         dofs = dofs[:, [0, 1, 3, 2]]  # from tensor order to going round
-    mine = field.function_space.tabulate_dof_coordinates()[dofs, :2], field.x.array.reshape(-1, 2)[dofs], body[owned]
+    mine = field.function_space.tabulate_dof_coordinates()[dofs, :2], field.x.array.reshape(-1, 2)[dofs], body
     everyone = domain.comm.gather(mine, root=0)
     return None if everyone is None else Cells(*(np.concatenate(part) for part in zip(*everyone, strict=True)))
 

@@ -19,13 +19,11 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
             not count, and two pieces may be of the same body, whose name is then there twice. None: a body is a piece.
     """
     domain = mesh.domain
-    cells = domain.topology.index_map(2)
-    tags = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
-    tags[mesh.cell_tags.indices] = mesh.cell_tags.values
     beside = find_cells_beside(mesh, facets)
+    tags = find_body_of_cells(mesh)[beside]
     middle = dolfinx.mesh.compute_midpoints(domain, 1, facets)
     outward = middle - dolfinx.mesh.compute_midpoints(domain, 2, beside)
-    everyone = domain.comm.allgather((tags[beside], tags[beside] if piece is None else piece, middle, outward))
+    everyone = domain.comm.allgather((tags, tags if piece is None else piece, middle, outward))
     body, piece, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
     depth = np.linalg.norm(outward, axis=1)
     for number in np.unique(piece)[1:]:
@@ -37,6 +35,14 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
             tags_there = body[mine[meet][0]], body[there[meet][0]]
             return tuple(name for name, tag in mesh.bodies.items() for _ in range(tags_there.count(tag)))
     return ()
+
+
+def find_body_of_cells(mesh: JointMesh) -> np.ndarray:
+    """Tag of the body of every cell that this rank holds, ghosts included, ``(cells,)``."""
+    cells = mesh.domain.topology.index_map(2)
+    body = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    body[mesh.cell_tags.indices] = mesh.cell_tags.values
+    return body
 
 
 def find_cells_beside(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:

@@ -183,10 +183,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     facets = elasticity.boundary_facets(mesh, flank)
     domain.topology.create_connectivity(1, 2)
     cells_of = domain.topology.connectivity(1, 2)
-    tag = mesh.bodies[body]
-    cells = domain.topology.index_map(2)
-    in_body = np.zeros(cells.size_local + cells.num_ghosts, dtype=bool)
-    in_body[mesh.cell_tags.find(tag)] = True
+    in_body = facing.find_body_of_cells(mesh) == mesh.bodies[body]
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
     length = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2]
