@@ -50,19 +50,20 @@ class Cells:
 Interpolation = Callable[[dolfinx.fem.Function], dolfinx.fem.Function]
 
 
-def vertex_interpolation(space, shape: tuple[int, ...] = ()) -> Interpolation:
+def vertex_interpolation(space) -> Interpolation:
     """Returns a function that takes fields of ``space`` to the mesh's vertices, which pictures show."""
-    return _interpolation(space, shape, 1)
+    return _interpolation(space, 1)
 
 
-def node_interpolation(space, shape: tuple[int, ...] = ()) -> Interpolation:
+def node_interpolation(space) -> Interpolation:
     """Returns a function that takes fields of ``space`` to all nodes of the mesh's cells, which files hold."""
-    return _interpolation(space, shape, space.mesh.geometry.cmap.degree)
+    return _interpolation(space, space.mesh.geometry.cmap.degree)
 
 
-def _interpolation(space, shape: tuple[int, ...], degree: int) -> Interpolation:
+def _interpolation(space, degree: int) -> Interpolation:
     if _compat.element_degree(space) == degree:
         return lambda field: field
+    shape = (space.dofmap.bs,) if space.dofmap.bs > 1 else ()
     taken = dolfinx.fem.Function(_compat.function_space(space.mesh, "Lagrange", degree, shape))
 
     def interpolate(field: dolfinx.fem.Function) -> dolfinx.fem.Function:
@@ -77,7 +78,7 @@ def gather_cells(chain: Chain, field: dolfinx.fem.Function | None = None) -> Cel
     domain = chain.mesh.domain
     if field is None:
         field = dolfinx.fem.Function(_compat.function_space(domain, "Lagrange", 1, (2,)))
-    field = vertex_interpolation(field.function_space, (2,))(field)
+    field = vertex_interpolation(field.function_space)(field)
     owned = np.arange(domain.topology.index_map(2).size_local)
     body = find_body_of_cells(chain.mesh)[owned]
     dofs = _compat.cell_dofs(field.function_space, owned).reshape(owned.size, -1)

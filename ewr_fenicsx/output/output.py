@@ -127,7 +127,7 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
     times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
     coordinates = (phase @ solution.coordinates).real
-    to_nodes = node_interpolation(chain.structure.space, (2,))
+    to_nodes = node_interpolation(chain.structure.space)
     frames = (to_nodes(chain.reduction.expand(x)) for x in coordinates)
     write_series(folder / "displacement.xdmf", domain, times, frames)
     for name, values in contact_fields(interface, solution, steps).items():

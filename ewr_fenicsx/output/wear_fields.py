@@ -66,7 +66,7 @@ def recede_flanks(chain: Chain) -> Callable[[RealArray], dolfinx.fem.Function]:
     space, interface = chain.structure.space, chain.interface
     pairs = find_pairs(space, interface.nodes_a)
     field = dolfinx.fem.Function(space)
-    to_nodes = node_interpolation(space, (2,))
+    to_nodes = node_interpolation(space)
 
     def recede(depth: RealArray) -> dolfinx.fem.Function:
         inward = -interface.normal * depth[:, None]
