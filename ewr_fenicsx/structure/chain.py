@@ -81,12 +81,24 @@ class Chain:
     """Everything from the scene to the reduced model; ``seconds`` by stage, ``doubts`` of mesh, joint and modes."""
 
     scene: Scene
-    mesh: JointMesh
-    structure: Structure
-    interface: Interface
     reduction: CraigBampton
     seconds: Mapping[str, float]
     doubts: tuple[str, ...] = ()
+
+    @property
+    def structure(self) -> Structure:
+        """What was reduced."""
+        return self.reduction.structure
+
+    @property
+    def mesh(self) -> JointMesh:
+        """With its named bodies and boundaries."""
+        return self.structure.mesh
+
+    @property
+    def interface(self) -> Interface:
+        """The pairs."""
+        return self.reduction.interface
 
 
 def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Chain:
@@ -137,7 +149,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
     doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
     doubts += tuple(doubt_drag(scene, reduction.rigid_drag))
-    return Chain(scene, mesh, structure, interface, reduction, watch.seconds, doubts)
+    return Chain(scene, reduction, watch.seconds, doubts)
 
 
 def build_reduced_model(scene: Scene) -> ReducedModel:
