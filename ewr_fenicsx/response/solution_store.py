@@ -13,13 +13,13 @@ import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.contact_laws import ContactLaws
 from ewr_fenicsx.laws.law_kinds import is_own
-from ewr_fenicsx.model.reduced_model import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
-_NUMBERS = ("converged", "iterations", "residual", "seconds", "unknowns")
+_NUMBERS = {"converged": bool, "iterations": int, "residual": float, "seconds": float, "unknowns": int}
 _WEIGHTS = ("rho_normal", "rho_tangential", "closure")
 _CHOSEN = ("harmonics", "samples", *_WEIGHTS)  # solution by solution: by an accuracy, or in a fallback
 _TEXTS = ("reason", "fallbacks", "left_out", "why_left_out", *_CHOSEN)
@@ -129,25 +129,15 @@ def read_records(group: h5py.Group) -> list[Record]:
     found = arrays["converged"].astype(bool)
     if not all(np.isfinite(arrays[name][found]).all() for name in ("frequency", "forces", "rigid")):
         raise OSError(f"it is damaged: {group.name} holds solutions that are not finite")
-    texts = {name: [json.loads(text) for text in group[name][()]] for name in _TEXTS}
-    harmonics = [_freeze(h) for h in texts["harmonics"]]
+    texts = {name: [_freeze(json.loads(text)) for text in group[name][()]] for name in _TEXTS}
+    orders = [h + 1 if isinstance(h, int) else len(h) for h in texts["harmonics"]]
     return [
         Record(
             frequency=float(arrays["frequency"][i]),
-            harmonics=harmonics[i],
-            samples=texts["samples"][i],
-            **{name: _freeze(texts[name][i]) for name in _WEIGHTS},
-            forces=arrays["forces"][i, : harmonics[i] + 1 if isinstance(harmonics[i], int) else len(harmonics[i])],
+            forces=arrays["forces"][i, : orders[i]],
             rigid=arrays["rigid"][i],
-            converged=bool(arrays["converged"][i]),
-            reason=texts["reason"][i],
-            iterations=int(arrays["iterations"][i]),
-            fallbacks=tuple(texts["fallbacks"][i]),
-            residual=float(arrays["residual"][i]),
-            seconds=float(arrays["seconds"][i]),
-            unknowns=int(arrays["unknowns"][i]),
-            left_out=tuple(texts["left_out"][i]),
-            why_left_out=texts["why_left_out"][i],
+            **{name: kind(arrays[name][i]) for name, kind in _NUMBERS.items()},
+            **{name: of_each[i] for name, of_each in texts.items()},
         )
         for i in range(len(arrays["frequency"]))
     ]
