@@ -44,7 +44,6 @@ def find_doubts(scene: Scene) -> Iterator[str]:
     """What is allowed but probably not meant, one sentence each."""
     yield from _doubt_units(scene)
     joint = laws_in_force(scene)
-    static = [name for name, load in scene.loads.items() if load.harmonic == 0]
     for where, laws in joint.items():
         if laws.tangential == "coulomb" and laws.friction == 0:
             yield (
@@ -57,7 +56,7 @@ def find_doubts(scene: Scene) -> Iterator[str]:
             "1 % of the final depth), and most are jumped over"
         )
     opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
-    if opening and not static:
+    if opening and not static_loads(scene):
         yield (
             f'{opening[0]}.normal = "{joint[opening[0]].normal}", and no load is static: nothing presses the joint '
             "together, and it gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"
@@ -149,6 +148,11 @@ def oscillating_loads(scene: Scene) -> list[str]:
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
 
 
+def static_loads(scene: Scene) -> list[str]:
+    """Names of the loads that act on average."""
+    return [name for name, load in scene.loads.items() if load.harmonic == 0]
+
+
 def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str, Contact]:
     """Where laws come from, as a key of the scene, and the joint's entries as they hold there.
 
@@ -211,41 +215,41 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
 
 
 def _check_harmonics(scene: Scene) -> Iterator[str]:
+    if scene.solver.accuracy is not None:  # which chooses harmonics and samples itself
+        return
     highest, samples = max(scene.harmonics), scene.solver.samples
-    if samples is not None and samples <= 2 * highest and scene.solver.accuracy is None:
+    if samples is not None and samples <= 2 * highest:
         yield (
             f"solver.samples = {samples} a period cannot resolve harmonic {highest}; give at least {2 * highest + 1}"
         )
     for name, load in scene.loads.items():
-        if load.harmonic not in scene.harmonics and scene.solver.accuracy is None:
+        if load.harmonic not in scene.harmonics:
             yield (
                 f"solver.harmonics = {list(scene.harmonics)} leave out harmonic {load.harmonic}, at which the load "
                 f'"{name}" acts; include it'
             )
-    static = [name for name, load in scene.loads.items() if load.harmonic == 0]
-    opening = [where for where, laws in laws_in_force(scene).items() if find_kind("normal", laws.normal).opens]
-    if opening and not static and 0 not in scene.harmonics and scene.solver.accuracy is None:
+    joint = laws_in_force(scene)
+    opening = [where for where, laws in joint.items() if find_kind("normal", laws.normal).opens]
+    if opening and not static_loads(scene) and 0 not in scene.harmonics:
         yield (
             f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, and {opening[0]}.normal = "
-            f'"{laws_in_force(scene)[opening[0]].normal}" may part: a normal force without a mean pulls as much as it '
+            f'"{joint[opening[0]].normal}" may part: a normal force without a mean pulls as much as it '
             "pushes; include 0"
         )
-    pressed = [
-        where for where, laws in laws_in_force(scene).items() if laws.normal == "prescribed" and laws.normal_force
-    ]
-    if pressed and 0 not in scene.harmonics and scene.solver.accuracy is None:
+    pressed = [where for where, laws in joint.items() if laws.normal == "prescribed" and laws.normal_force]
+    if pressed and 0 not in scene.harmonics:
         yield (
             f"solver.harmonics = {list(scene.harmonics)} leave out harmonic 0, at which {pressed[0]}.normal_force "
             "acts; include it"
         )
-    if static and not scene.supports.clamp:
+
+
+def _check_supports(scene: Scene) -> Iterator[str]:
+    if (static := static_loads(scene)) and not scene.supports.clamp:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '
             "name the boundary that is held"
         )
-
-
-def _check_supports(scene: Scene) -> Iterator[str]:
     for table, entries, what in (
         ("loads", scene.loads, "the force does nothing"),
         ("outputs", scene.outputs, "it never moves"),
