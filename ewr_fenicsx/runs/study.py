@@ -20,7 +20,7 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.runs import findings
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.solution.solution import PeriodicSolution
-from ewr_fenicsx.solution.symmetry import find_idle_harmonics
+from ewr_fenicsx.solution.symmetry import leave_out_idle
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.structure.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
 from ewr_fenicsx.structure.reduction import keep_more_modes
@@ -67,15 +67,15 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
     Args:
         chain: What to solve on.
         progress: As in ``build_chain``.
-        work: Folder of the work in progress, from which an interrupted study goes on, where it can; the caller's to
-            remove (``keep_work``). None: nothing is kept.
+        work: Folder of the work in progress, from which an interrupted study goes on, of a scene that can
+            (``can_resume``); the caller's to remove (``keep_work``). None: nothing is kept.
 
     Raises:
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
         OutputError: ``work`` holds another study.
     """
     through, watch = measure_thinnest_body(chain), Stopwatch(progress)
-    study = _solve(chain, watch, work if can_resume(chain.scene) else None, through)
+    study = _solve(chain, watch, work, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)
     lines, facts = [f"  NOT a small motion: {doubt}" for doubt in doubts], {"doubts_of_small_motion": doubts}
     if chain.scene.solver.accuracy is None:
@@ -93,7 +93,7 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
     chain, solution, what, rate = study.chain, study.solution, "the response", None
     if not solution.problem.frequency or not solution.unknowns:
         return [], None
-    if chain.scene.wear is not None and len(chain.scene.frequencies) == 1:
+    if chain.scene.wear is not None:
         from ewr_fenicsx.wear.archard import measure_wear_rate
 
         coefficient = spread_wear(chain.scene, chain.interface)
@@ -188,7 +188,6 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     chain = _take_up(chain, work, FILES)
     scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
     problem = pose_problem(scene, model, chain.interface)
-    idle = find_idle_harmonics(problem)
     settings = {
         key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "closure", "tolerance")
     }
@@ -197,7 +196,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             model,
             lay_laws(scene, chain.interface),
             scene.frequencies,
-            [h for h in problem.basis.orders if h not in idle.orders],  # no columns of zeros
+            list(leave_out_idle(problem).basis.orders),  # no columns of zeros
             watch.progress is not None,
             work=work,
             comm=comm,
@@ -287,7 +286,7 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> 
             pose_problem(scene, chain.reduction.model, interface),
             asked.cycles,
             spread_wear(scene, interface),
-            None if share is None else Tolerance(share=share, damped=True),
+            None if share is None else Tolerance(share=share),
             keep_every=max(1, asked.cycles // 100),
             deepest=through,
             file=file,
