@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return stop_together(comm, lambda: COMMANDS[arguments.command](arguments, comm))
 
 
-def parse_arguments(argv: Sequence[str] | None = None) -> tuple[argparse.Namespace, list[str]]:
+def parse_arguments(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[str]]:
     """Arguments of ``ewr``, and those left for PETSc: unknown ones with a single dash, after the scene."""
     parser = argparse.ArgumentParser(
         prog="ewr",

@@ -91,7 +91,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f'; did you mean "{found[0]}"?' if found else ""
 
 
-def name_pairs(pairs: Sequence[float], most: int = 3) -> str:
-    """Pairs by their numbers, the first ``most`` of them: ``"pairs 0, 1, 2 and 5 more"``."""
-    few, more = ", ".join(f"{pair:g}" for pair in pairs[:most]), len(pairs) - most
+def name_pairs(pairs: Sequence[float]) -> str:
+    """Pairs by their numbers, the first three of them: ``"pairs 0, 1, 2 and 5 more"``."""
+    few, more = ", ".join(f"{pair:g}" for pair in pairs[:3]), len(pairs) - 3
     return f"pair{'s' * (len(pairs) > 1)} {few}" + (f" and {more} more" if more > 0 else "")

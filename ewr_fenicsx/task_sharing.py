@@ -60,8 +60,8 @@ def share_steps(
     go_on: Callable[[Task, Result], Iterable[Result]],
     count: Callable[[Task, Result], int],
     sizes: Sequence[int],
-    comm: MPI.Comm = MPI.COMM_SELF,
-    report: Callable[[int], None] = lambda done: None,
+    comm: MPI.Comm,
+    report: Callable[[int], None],
 ) -> list[Result]:
     """Brings every task to its end, step by step from the state that it is in; collective, as ``share_tasks``.
 
@@ -101,7 +101,7 @@ def share_steps(
     return [ends.get(k, state) for k, state in enumerate(begun)]
 
 
-def do_together(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) -> Result:
+def do_together(action: Callable[[], Result], comm: MPI.Comm) -> Result:
     """Does something on every rank; collective.
 
     Returns:
@@ -119,7 +119,7 @@ def do_together(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) ->
     return result
 
 
-def do_on_rank_zero(action: Callable[[], Result], comm: MPI.Comm = MPI.COMM_SELF) -> Result:
+def do_on_rank_zero(action: Callable[[], Result], comm: MPI.Comm) -> Result:
     """Does something on rank 0 alone; collective.
 
     Returns:

@@ -332,7 +332,7 @@ def judge(
     levels: Sequence[Level],
     modes: Sequence[int],
     accuracy: float,
-    figure: Figure | None = None,
+    figure: Figure | None,
 ) -> ErrorEstimate:
     """Estimated errors of a solution; the change from the one before counts as well where it tells of larger ones.
 

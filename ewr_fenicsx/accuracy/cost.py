@@ -110,14 +110,12 @@ class Setting:
     """One position of one knob, and the problem that it poses."""
 
     knob: str
-    value: float | str
+    value: float
     problem: ContactProblem = field(repr=False)
     tolerance: float = 1e-8
 
 
-def list_settings(
-    problem: ContactProblem, orders: Sequence[int] = (1, 3, 5, 9, 15, 23), fixed: int = 9
-) -> list[Setting]:
+def list_settings(problem: ContactProblem, orders: Sequence[int], fixed: int) -> list[Setting]:
     """The knobs of a contact solve, one turned at a time.
 
     Args:
@@ -160,7 +158,7 @@ def list_settings(
 def survey(
     settings: Iterable[Setting],
     reference: Figures,
-    repeats: int = 3,
+    repeats: int,
     report: Callable[[dict], None] = lambda row: None,
 ) -> list[dict]:
     """Cold solves: errors, times and sizes of each setting.

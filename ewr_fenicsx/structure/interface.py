@@ -136,7 +136,7 @@ def pair_interface(
 
 
 def doubt_boundaries(
-    structure: elasticity.Structure, flanks: Sequence[str], body_a: str, body_b: str, held: Sequence[str] = ()
+    structure: elasticity.Structure, flanks: Sequence[str], body_a: str, body_b: str, held: Sequence[str]
 ) -> Iterator[str]:
     """What is probably not meant by boundaries on which bodies lie face to face and no contact is: a sentence each.
 
