@@ -26,7 +26,7 @@ from ewr_fenicsx.solution.symmetry import leave_out_idle
 from ewr_fenicsx.solver.splitting import Splitting, can_split, settle
 from ewr_fenicsx.solver.warm_starts import carry_over
 
-LEAST_LOOKAHEAD = 7  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
+LEAST_LOOKAHEAD = 6  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 LEAST_SAMPLES = 64
 RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
@@ -153,7 +153,7 @@ def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     highest = problem.basis.orders[-1]
     sprung = "springs" in problem.system.closures
     added = highest if sprung else highest // 2 + 1
-    raised = highest + max(added, LEAST_LOOKAHEAD - 1)
+    raised = highest + max(added, LEAST_LOOKAHEAD)
     # a number leaves out what is zero by symmetry, a list does not
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
