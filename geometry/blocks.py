@@ -129,6 +129,21 @@ def check_angle(name: str, value: float) -> None:
         raise ValueError(f"{name} = {value}: expected degrees from the x direction, 15 to 75")
 
 
+def check_pairs(pairs: int, flank: str = "flank") -> None:
+    """Refuse fewer than two pairs on a flank of a builder, or on what it calls otherwise.
+
+    Raises:
+        ValueError: Names the parameter.
+    """
+    if pairs < 2:
+        raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the {flank}")
+
+
+def mirror(points: Sequence[Point], side: int) -> list[Point]:
+    """Points of the right side, on the left (-1) or right (1) one."""
+    return [(side * x, y) for x, y in points]
+
+
 def mesh_bodies(bodies: Sequence[Body], boundaries: Mapping[str, Sequence[int]]) -> None:
     """Name the bodies and boundaries as physical groups, and mesh them.
 

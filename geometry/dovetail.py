@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from math import cos, radians, sin, tan
 
-from blocks import Body, Point, check_angle, check_positive, mesh_bodies
+from blocks import Body, check_angle, check_pairs, check_positive, mesh_bodies, mirror
 from outlines import count_cells
 
 
@@ -56,8 +56,7 @@ def build(
     """
     check_positive(locals())
     check_angle("flank_angle", flank_angle)
-    if pairs < 2:
-        raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the flank")
+    check_pairs(pairs)
     neck, tip, edge = neck_width / 2, blade_thickness / 2, disk_width / 2
     foot = neck + flank_length * cos(radians(flank_angle))
     bottom = -neck_height - flank_length * sin(radians(flank_angle))
@@ -86,7 +85,7 @@ def build(
         for side, hand in ((-1, "left"), (1, "right")):
             for upper, lower, cells in rows:
                 corners = [upper, lower, (far, lower[1]), (far, upper[1])]
-                outline, _, opposite, top = body.patch(_mirror(corners, side), (cells, columns))
+                outline, _, opposite, top = body.patch(mirror(corners, side), (cells, columns))
                 if upper == (neck, -neck_height):
                     curves[hand].append(outline)
                 if upper == (tip, blade_height):
@@ -96,10 +95,5 @@ def build(
             if body.name == "disk":
                 aside_of_bottom = body.curve((side * lower[0], lower[1]), (side * far, lower[1]), columns)
                 below = [(0.0, bottom - clearance), (0.0, -disk_height), lower, upper]
-                curves["clamp"] += [aside_of_bottom, body.patch(_mirror(below, side), (cells, across))[1]]
+                curves["clamp"] += [aside_of_bottom, body.patch(mirror(below, side), (cells, across))[1]]
     mesh_bodies(bodies, curves)
-
-
-def _mirror(corners: list[Point], side: int) -> list[Point]:
-    """The corners on the left (-1) or right (1) side."""
-    return [(side * x, y) for x, y in corners]

@@ -12,7 +12,7 @@ Physical groups: surfaces ``bar`` and ``stop``; curves ``face`` (of both bodies)
 
 from __future__ import annotations
 
-from blocks import Body, check_positive, mesh_bodies
+from blocks import Body, check_pairs, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -41,8 +41,7 @@ def build(
     check_positive(locals())
     if tip_length >= length:
         raise ValueError(f"tip_length = {tip_length}: expected less than length = {length}")
-    if pairs < 2:
-        raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the face")
+    check_pairs(pairs, "face")
     bar, stop = Body("bar"), Body("stop")
     ys, rows = [-height / 2, height / 2], [pairs - 1]
     cells = [count_cells(length - tip_length, mesh_size), count_cells(tip_length, mesh_size)]

@@ -36,7 +36,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, hypot, radians, sin, sqrt, tan
 
-from blocks import Body, Point, check_angle, check_positive, mesh_bodies
+from blocks import Body, Point, check_angle, check_pairs, check_positive, mesh_bodies, mirror
 from outlines import (
     Fillet,
     Piece,
@@ -186,8 +186,7 @@ def _check_parameters(parameters: dict[str, float]) -> None:
     check_positive(parameters)
     for name in ("flank_angle", "underside_angle"):
         check_angle(name, parameters[name])
-    if parameters["pairs"] < 2:
-        raise ValueError(f"pairs = {parameters['pairs']}: expected at least 2, the ends of the flank")
+    check_pairs(parameters["pairs"])
     if parameters["sector_angle"] >= 90.0:
         raise ValueError(f"sector_angle = {parameters['sector_angle']}: expected less than 90 degrees")
 
@@ -230,14 +229,10 @@ def _place_corners(
     return [*corners, (bottom, level)]
 
 
-def _mirror(points: list[Point], side: int) -> list[Point]:
-    return [(side * x, y) for x, y in points]
-
-
 def _draw_row(body: Body, piece: Piece, far_start: Point, far_end: Point, columns: int, side: int) -> int:
     """One block from an outline's piece inwards to the points opposite its ends; tag of the outline's curve."""
-    start, end, far_end, far_start = _mirror([piece.start, piece.end, far_end, far_start], side)
-    outline = body.curve(start, end, piece.cells, _mirror([piece.centre], side)[0] if piece.centre else None)
+    start, end, far_end, far_start = mirror([piece.start, piece.end, far_end, far_start], side)
+    outline = body.curve(start, end, piece.cells, mirror([piece.centre], side)[0] if piece.centre else None)
     body.block(
         [start, end, far_end, far_start],
         [
@@ -294,8 +289,8 @@ def _draw_blade(
         levels = [tip[1], foot.start[1], (foot.start[1] + top) / 2, (platform + shank.end[1]) / 2, shank.end[1]]
         for piece, (upper, lower) in zip(column, pairwise(levels), strict=True):
             _draw_row(body, piece, (0.0, upper), (0.0, lower), columns, side)
-        upper = _mirror([foot.split, foot.end, (half_width, top), foot.centre], side)
-        lower = _mirror([shank.split, shank.start, (half_width, platform), shank.centre], side)
+        upper = mirror([foot.split, foot.end, (half_width, top), foot.centre], side)
+        lower = mirror([shank.split, shank.start, (half_width, platform), shank.centre], side)
         for k, cells, centres in ((0, arc, (upper[3], lower[3])), (1, flat, (None, None))):
             body.block(
                 [upper[k], upper[k + 1], lower[k + 1], lower[k]],
@@ -335,16 +330,16 @@ def _draw_disk(
     feet = [(hub_radius * sin(share * half_angle), hub_radius * cos(share * half_angle)) for share in HUB_SHARES]
     clamp = []
     for side in (-1, 1):
-        start, cut = _mirror([posts[0].start, rim], side)
+        start, cut = mirror([posts[0].start, rim], side)
         body.curve(start, cut, columns, centre, GROWTH)  # the rim; the first row of the post finds it drawn
         for piece, (upper, lower) in zip(posts, pairwise(levels), strict=True):
             curve = _draw_row(body, piece, at_cut(upper), at_cut(lower), columns, side)
-            clamp.append(body.curve(*_mirror([at_cut(upper), at_cut(lower)], side), piece.cells))
+            clamp.append(body.curve(*mirror([at_cut(upper), at_cut(lower)], side), piece.cells))
             if piece.lobe:
                 flanks.setdefault(name_flank(piece.lobe, lobes, side), []).append(curve)
-        above = _mirror([(0.0, bottom.end[1]), bottom.end, corner, at_cut(depth)], side)
-        below = _mirror([*feet, hub], side)
-        arc_centre = _mirror([bottom.centre], side)[0]
+        above = mirror([(0.0, bottom.end[1]), bottom.end, corner, at_cut(depth)], side)
+        below = mirror([*feet, hub], side)
+        arc_centre = mirror([bottom.centre], side)[0]
         for k, (cells, round_which) in enumerate(((middle, None), (arc, arc_centre), (columns, None))):
             growth = GROWTH if k == 2 else 1.0
             hub_curve = body.curve(below[k], below[k + 1], cells, centre, growth)

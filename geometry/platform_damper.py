@@ -22,7 +22,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import radians, tan
 
-from blocks import Body, check_angle, check_positive, mesh_bodies
+from blocks import Body, check_angle, check_pairs, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -58,8 +58,7 @@ def build(
     """
     check_positive(locals())
     check_angle("flank_angle", flank_angle)
-    if pairs < 2:
-        raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the flank")
+    check_pairs(pairs)
     if airfoil_thickness >= shank_thickness:
         raise ValueError(f"airfoil_thickness = {airfoil_thickness}: expected less than the shank's {shank_thickness}")
     wide = damper_width / 2

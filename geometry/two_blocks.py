@@ -13,7 +13,7 @@ block) and ``top``. Coordinates in m; ``y = 0`` is the seat.
 
 from __future__ import annotations
 
-from blocks import Body, check_positive, mesh_bodies
+from blocks import Body, check_pairs, check_positive, mesh_bodies
 from outlines import count_cells
 
 
@@ -42,8 +42,7 @@ def build(
     check_positive(locals())
     if lower_width <= width:
         raise ValueError(f"lower_width = {lower_width}: expected more than width = {width}")
-    if pairs < 2:
-        raise ValueError(f"pairs = {pairs}: expected at least 2, the ends of the seat")
+    check_pairs(pairs, "seat")
     half, wide = width / 2, lower_width / 2
     upper, lower = Body("upper"), Body("lower")
     on = upper.grid([-half, half], [0.0, height], [pairs - 1], [count_cells(height, mesh_size)])
