@@ -33,12 +33,12 @@ FLANK = "top_left"
 
 
 # %%
-def measure_distances(solution, pairs: np.ndarray) -> dict[str, float]:
+def measure_distances(solution) -> dict[str, float]:
     """Largest and root-mean-square distance of all pairs at all samples from both sets, in their units."""
-    gap, normal = (solution.history(name, SAMPLES)[:, pairs] for name in ("gap", "normal_force"))
-    velocity, friction = (solution.history(name, SAMPLES)[:, pairs] for name in ("slip_velocity", "friction_force"))
+    gap, normal = (solution.history(name, SAMPLES) for name in ("gap", "normal_force"))
+    velocity, friction = (solution.history(name, SAMPLES) for name in ("slip_velocity", "friction_force"))
     g, n = gap / max(gap.max(), 1e-12), normal / normal.max()
-    signorini = np.where((g >= 0) & (n >= 0), np.minimum(g, n), np.hypot(np.minimum(g, 0), np.minimum(n, 0)) + 0 * g)
+    signorini = np.where((g >= 0) & (n >= 0), np.minimum(g, n), np.hypot(np.minimum(g, 0), np.minimum(n, 0)))
     loaded = normal > 0.05 * normal.max()
     v = velocity[loaded] / np.abs(velocity).max()
     share = friction[loaded] / (MU * normal[loaded])
@@ -84,8 +84,7 @@ def main(folder: Path = RESULTS / "contact_sets") -> dict:
             solutions[name] = solve(problem)
             coarse = solve(replace(problem, harmonics=5))
             for order, solution in ((15, solutions[name]), (5, coarse)):
-                everything = np.arange(model.pairs)
-                figures[f"{name}, N = {order}"] = measure_distances(solution, everything)
+                figures[f"{name}, N = {order}"] = measure_distances(solution)
         outward = np.abs(interface.position[:, 0])
         flanks = {flank: np.flatnonzero(interface.flank_of_pair == k) for k, flank in enumerate(interface.flanks)}
         for name, solution in solutions.items():

@@ -9,7 +9,6 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-import dolfinx
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap
@@ -54,9 +53,7 @@ def draw_motion(axes, chain, solution):
     phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
     shown = np.array(solution.orders)[:, None] > (-1 if gap.any() else 0)
     frames = (phase @ np.where(shown, solution.coordinates, 0)).real
-    shape = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
-    field = dolfinx.fem.Function(chain.structure.space)
-    field.x.array[:] = shape.x.array
+    field = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
     moved = field.x.array.reshape(-1, 2)
     cells = gather_cells(chain, field)
     stretch = 0.06 * cells.scale / max(np.linalg.norm(cells.values, axis=2).max(), 1e-300)
