@@ -45,7 +45,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     closes = np.any(classify_contact(solution, SAMPLES) != OPEN, axis=0)
     pairs = np.flatnonzero(closes & problem.opens)  # load that leaves worn ones goes to the others
     decay = np.zeros((problem.model.pairs,) * 2)
-    if not pairs.size or not system.basis.has_mean:
+    if not pairs.size:
         return decay
     rows = system.row_of("normal", pairs)
     flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)]
