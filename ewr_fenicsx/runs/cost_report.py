@@ -69,7 +69,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
         SceneError: Nothing oscillates, so that there is nothing to choose.
     """
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
-    loaded = [h for h, f in problem.loads.items() if h and f.any()]
+    loaded = [h for h in problem.driven if h]
     if not loaded or not problem.frequency:
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
     problem = replace(use_default_weights(problem), samples=None)
