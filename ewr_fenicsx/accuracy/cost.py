@@ -166,12 +166,12 @@ def survey(
     Args:
         settings: What to solve.
         reference: What to compare with.
-        repeats: Solves of each setting, unless they take seconds; times are medians, with their spread.
+        repeats: Solves of each setting, unless they take seconds; times are medians.
         report: Called with each row.
 
     Returns:
-        A row a setting: knob, value, unknowns, Newton steps, whether it converged, processor seconds (median, least,
-        most) and the errors by name.
+        A row a setting: knob, value, unknowns, Newton steps, whether it converged, processor seconds and the errors by
+        name.
     """
     rows = []
     for setting in settings:
@@ -185,7 +185,7 @@ def survey(
         row = {"knob": setting.knob, "value": setting.value, "unknowns": solution.unknowns}
         solved = solution.converged and solution.problem is posed  # not with the default weights in place of its own
         row |= {"steps": solution.iterations, "converged": solved, "seconds": median(spent)}
-        rows.append(row | {"spread": [min(spent), max(spent)], "errors": errors})
+        rows.append(row | {"errors": errors})
         report(rows[-1])
     return rows
 
