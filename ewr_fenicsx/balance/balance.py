@@ -224,15 +224,23 @@ class HarmonicBalance:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
         return step
 
+    def within(self, tolerance: float) -> Callable[[RealArray], bool]:
+        """Of unknowns ``(size,)``: whether they leave a residual norm below a tolerance."""
+        return lambda unknowns: bool(np.linalg.norm(self.residual(unknowns)) < tolerance)
+
     def take_whole_steps(
-        self, unknowns: RealArray, most: int, tolerance: float, motion: ComplexArray | None = None
+        self,
+        unknowns: RealArray,
+        most: int,
+        arrived: Callable[[RealArray], bool],
+        motion: ComplexArray | None = None,
     ) -> tuple[RealArray | None, int]:
         """Unknowns where Newton's method comes to without a line search, in ``most`` steps at most; None if nowhere.
 
         Args:
             unknowns: ``(size,)`` scaled, where it begins.
             most: Linearisations.
-            tolerance: Residual norm accepted.
+            arrived: Of unknowns, whether they are where it should come to, as ``within`` says.
             motion: At which the first step linearises the laws, as in ``linearise``.
 
         Returns:
@@ -241,9 +249,9 @@ class HarmonicBalance:
         for taken in range(most):
             if not np.linalg.norm(unknowns) < LOST:
                 return None, taken
-            step = self.linearise(unknowns, motion)
-            if motion is None and np.linalg.norm(step.residual) < tolerance:
+            if motion is None and arrived(unknowns):
                 return unknowns, taken
+            step = self.linearise(unknowns, motion)
             try:
                 unknowns, motion = unknowns - step.solve(step.residual), None
             except np.linalg.LinAlgError:

@@ -170,7 +170,7 @@ def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealAr
     """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
     balance, here = pose_at(problem.system, forces, rigid)
     begin = balance.pack(course.forces, rigid)
-    found, _ = balance.take_whole_steps(begin, NEWTON_STEPS, SOLVED, course.motion)
+    found, _ = balance.take_whole_steps(begin, NEWTON_STEPS, balance.within(SOLVED), course.motion)
     # where none is found, nothing is known
     return found is not None and bool(np.linalg.norm(found - here) > ELSEWHERE * np.linalg.norm(here))
 

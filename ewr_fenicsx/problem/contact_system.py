@@ -62,6 +62,11 @@ class ContactSystem:
         """What closes the truncation at any pair, but for weights: ``"masses"``, ``"springs"``, both or neither."""
         return tuple(sorted({law.closes for law in self.laws} - {""}))
 
+    @property
+    def highest_given(self) -> int:
+        """The highest harmonic of normal forces that are given, which samples have to tell as well; 0 without any."""
+        return max(self.prescribed, default=0)
+
     def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
         return self.layout.row_of(direction, pairs)
@@ -79,7 +84,7 @@ class ContactSystem:
             free_motion=self.compliance.free_motion[keep],
             outputs={name: rows[keep] for name, rows in self.compliance.outputs.items()},
         )
-        needed = max(select_basis(orders).samples, 2 * max(self.prescribed, default=0) + 1)
+        needed = max(select_basis(orders).samples, 2 * self.highest_given + 1)
         samples = min(self.basis.samples, needed)
         return replace(self, basis=FourierBasis(orders, samples), compliance=compliance)
 

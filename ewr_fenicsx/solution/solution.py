@@ -300,7 +300,7 @@ class PeriodicSolution(PeriodicMotion):
         if "masses" not in closures:
             return here
         balance, unknowns = here._pose()
-        found, _ = balance.take_whole_steps(unknowns, SETTLING, SETTLED)
+        found, _ = balance.take_whole_steps(unknowns, SETTLING, balance.within(SETTLED))
         if found is None:
             return here
         forces, rigid = balance.unpack(found)

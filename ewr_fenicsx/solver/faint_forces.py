@@ -33,7 +33,8 @@ def attend_to_faint_forces(
     goals = find_missed(balance, found.unknowns, tolerance)
     if not goals.size:
         return found
-    unknowns, taken = step_until_none_misses(balance, found.unknowns, tolerance)
+    none_misses = lambda unknowns: not find_missed(balance, unknowns, tolerance).size  # noqa: E731
+    unknowns, taken = balance.take_whole_steps(found.unknowns, LAST_STEPS, none_misses)  # a line search may take none
     begin, goal = found.unknowns, goals.min()
     if unknowns is not None:
         begin, goal = unknowns, max(goal, np.linalg.norm(balance.residual(unknowns)))
@@ -42,23 +43,6 @@ def attend_to_faint_forces(
     if closer.walks:  # so faintly held that only a closer look tells
         return replace(closer, iterations=steps)
     return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
-
-
-def step_until_none_misses(
-    balance: HarmonicBalance, unknowns: RealArray, tolerance: float
-) -> tuple[RealArray | None, int]:
-    """Where whole Newton steps lead, of which a line search may take none, None if nowhere; and how many they are."""
-    for taken in range(LAST_STEPS):
-        if not np.isfinite(unknowns).all():
-            return None, taken
-        if not find_missed(balance, unknowns, tolerance).size:
-            return unknowns, taken
-        step = balance.linearise(unknowns)
-        try:
-            unknowns = unknowns - step.solve(step.residual)
-        except np.linalg.LinAlgError:
-            return None, taken
-    return None, LAST_STEPS
 
 
 def find_missed(balance: HarmonicBalance, unknowns: RealArray, tolerance: float) -> RealArray:

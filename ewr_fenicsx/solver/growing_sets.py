@@ -39,7 +39,7 @@ def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: 
 
 def choose_samples(balance: HarmonicBalance) -> list[int]:
     """Growing numbers of samples a period, from the few that harmonics need to those of the balance."""
-    highest, most = max(balance.basis.orders[-1], *balance.system.prescribed, 0), balance.basis.samples
+    highest, most = max(balance.basis.orders[-1], balance.system.highest_given), balance.basis.samples
     few = max(FEW_SAMPLES, round_up(FEW_A_HARMONIC * highest))
     return [*takewhile(lambda n: n < most, (few << doublings for doublings in count())), most]
 

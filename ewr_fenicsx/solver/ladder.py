@@ -172,7 +172,7 @@ def step_over_corners(balance: HarmonicBalance, tolerance: float, failed: Attemp
     """
     if not is_cornered(failed):
         return failed
-    unknowns, steps = balance.take_whole_steps(failed.unknowns, WHOLE_STEPS, tolerance)
+    unknowns, steps = balance.take_whole_steps(failed.unknowns, WHOLE_STEPS, balance.within(tolerance))
     if unknowns is None:
         return replace(failed, iterations=failed.iterations + steps)
     found = run_newton(balance, unknowns, tolerance, "elimination", near=True)  # looks whether it walks

@@ -111,8 +111,8 @@ class Splitting:
     def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0, *, springs: bool = True):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
-        given = 2 * max(balance.system.prescribed, default=0) + 1  # harmonics of normal forces that are given
-        needed = max(FEWEST_SAMPLES, samples, round_up(max(SAMPLES * orders[-1], given))) if orders[-1] else 1
+        told = max(SAMPLES * orders[-1], 2 * balance.system.highest_given + 1)
+        needed = max(FEWEST_SAMPLES, samples, round_up(told)) if orders[-1] else 1
         self.basis = FourierBasis(orders, needed)
         self.orders = np.array(orders)
         self.halves = np.where(self.orders == 0, 1.0, 0.5)[:, None]  # of an amplitude, in a spectrum

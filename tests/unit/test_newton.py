@@ -387,22 +387,3 @@ def test_nothing_of_a_solve_stays_in_memory(linear_solver):
 
 def count_equations() -> int:
     return sum(isinstance(thing, snes._Equations) for thing in gc.get_objects())
-
-
-def test_a_softened_balance_that_is_solved_is_said_to_be(monkeypatch):
-    """The run before it, of a firmer one, may have left as little: that passed for the best, and for no solution."""
-    rng = np.random.default_rng(332)
-    rough = rng.normal(size=(3, 3))
-    stiffness, along = rough @ rough.T + 0.1 * np.eye(3), rng.normal(size=(3, 3))
-    load = {0: 3 * rng.normal(size=3), 1: rng.normal(size=3)}
-    model = ReducedModel(0.05 * np.eye(3), 0.02 * stiffness, stiffness, tangential=along, load=load)
-    limits = rng.uniform(0.1, 2, 3)
-    laws = ContactLaws("prescribed", normal_force=limits, friction=0.3, static_friction="held")
-    ended = []
-    soften = snes._soften
-    monkeypatch.setattr(snes, "_soften", lambda *given: ended.append(soften(*given)) or ended[-1])
-    assert solve(ContactProblem(model, laws, 0.2, 5, closure="dashpot"), tolerance=1e-5).converged
-    (attempts,) = ended
-    left = sorted(attempt.residual for attempt in attempts)
-    assert left[0] == left[1], "the case that this is about"
-    assert min(attempts).converged

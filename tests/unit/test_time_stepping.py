@@ -16,7 +16,6 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time import time_stepping
 from ewr_fenicsx.in_time.periodicity import Watch
 from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
-from ewr_fenicsx.solver.initial_states import choose_start
 from ewr_fenicsx.solver.time_integration import State, integrate, resample
 
 
@@ -335,13 +334,6 @@ def test_bonds_without_outputs_are_steady_when_the_motion_is():
     assert result.converged and result.periods > 5
     force = expected.history("normal_force", 64)
     assert result.history("normal_force", 64) == pytest.approx(force, abs=1e-3 * np.abs(force).max())
-
-
-def test_rest_is_rest_where_harmonic_0_is_not_kept():
-    """The first harmonic kept stood for the mean."""
-    model = ReducedModel([[1.0]], [[0.1]], [[4.0]], tangential=[[1.0]], load={1: [1.0]})
-    slides = ContactLaws("prescribed", "frictionless", normal_force=1.0)
-    assert choose_start(ContactProblem(model, slides, 0.2, (1, 3)), "rest").position == 0
 
 
 @pytest.mark.parametrize("stiffness, mean", [(1.0, 0.0), (0.0, 0.0), (0.0, 0.1), (1.0, 0.1)])
