@@ -71,7 +71,7 @@ def test_answers_agree_where_the_steady_state_is_one():
 
     Measured: 1.8, 1.6, 0.73 % apart at N = 3, 5, 9.
     """
-    few, many = peers.compare_answers(1, 0.1, (3, 9))
+    few, many = peers.compare_answers(1, 1.0, (3, 9))
     assert few["solved"] == many["solved"] == many["points"]
     assert few["apart"] < 1e-5 and many["apart"] < 1e-5, "the steady states differ: this case would prove nothing"
     assert many["distance"] < 0.01 and many["distance"] < few["distance"] / 2, (few, many)
