@@ -12,18 +12,16 @@ solutions; "iterations a step" how many iterations take as long as a Newton step
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
 from unittest.mock import patch
 
 import numpy as np
-from models import blade_root
-from reporting import describe_machine, print_table, write_json
+from models import blade_root, shake
+from reporting import clock, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -57,12 +55,10 @@ def climbing() -> Iterator[None]:
         yield
 
 
-def clock(problem: ContactProblem) -> tuple[PeriodicSolution, float]:
+def start(problem: ContactProblem) -> tuple[PeriodicSolution, float]:
     """A cold solve by the first way, and the processor time that it took [s]."""
     _ = problem.system
-    begin = time.process_time()
-    solution = solve(problem, fallbacks=False, raise_on_failure=False)
-    return solution, time.process_time() - begin
+    return clock(lambda: solve(problem, fallbacks=False, raise_on_failure=False))
 
 
 def compare_iteration(problem: ContactProblem) -> float:
@@ -71,18 +67,12 @@ def compare_iteration(problem: ContactProblem) -> float:
     splitting, unknowns = Splitting(balance), balance.pack(*balance.full_stick)
     state = splitting.begin()
 
-    def measure(run, repeats: int) -> float:
-        begin = time.process_time()
-        for _ in range(repeats):
-            run()
-        return (time.process_time() - begin) / repeats
-
     def step() -> None:
         linear = balance.linearise(unknowns)
         linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)  # the worst that any state can cost
         linear.solve(linear.residual)
 
-    return measure(step, 2) / measure(lambda: splitting.compare(state), 100)
+    return clock(step, 2)[1] / (clock(lambda: [splitting.compare(state) for _ in range(100)])[1] / 100)
 
 
 def compare(
@@ -96,12 +86,11 @@ def compare(
     runs, apart = [], 0.0
     for frequency in frequencies:
         for friction, weight in states:
-            model = replace(demo, load={h: f * (weight if h else 1.0) for h, f in demo.load.items()})
             laws = ContactLaws(friction=friction)
-            pose = partial(ContactProblem, model, laws, frequency, harmonics, closure=closure)
-            split = clock(pose())
+            pose = partial(ContactProblem, shake(demo, weight), laws, frequency, harmonics, closure=closure)
+            split = start(pose())
             with climbing():
-                climbed = clock(pose())
+                climbed = start(pose())
             runs.append((split, climbed))
             if split[0].converged and climbed[0].converged:
                 tips = [solution.output("tip")[1] for solution, _ in (split, climbed)]
@@ -121,7 +110,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/cold_starts.json]")
     arguments = parser.parse_args()
     machine = describe_machine()
-    clock(ContactProblem(blade_root(), ContactLaws(friction=0.2), 1000.0, 3))  # modes found, modules loaded
+    start(ContactProblem(blade_root(), ContactLaws(friction=0.2), 1000.0, 3))  # modes found, modules loaded
     rows = [compare(blade_root(), closure, n) for closure in CLOSURES for n in arguments.harmonics]
     rows += [compare(blade_root(pairs), "dashpot", 5, FEWER_FREQUENCIES, STATES[:1]) for pairs in PAIRS]
     print_table("Cold starts with a splitting, and climbing through sets of harmonics", HEADER, rows)

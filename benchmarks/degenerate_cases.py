@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from models import dovetail, lap_joint
+from models import dovetail, lap_joint, shake
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -33,7 +33,7 @@ def just_lift() -> ContactProblem:
     problem = ContactProblem(model, ContactLaws("unilateral", "bonded"), 200.0, 9)
     forces, _ = HarmonicBalance(problem.system).full_stick
     factor = np.min(forces[0].real / np.abs(forces[1]))
-    return replace(problem, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
+    return replace(problem, model=shake(model, factor))
 
 
 def meet_friction_limit() -> ContactProblem:
@@ -43,7 +43,7 @@ def meet_friction_limit() -> ContactProblem:
     problem = ContactProblem(model, laws, 200.0, 5)
     forces, _ = HarmonicBalance(problem.system).full_stick
     factor = 30.0 / np.max(np.abs(forces[1]))
-    return replace(problem, load={h: f * (factor if h else 1.0) for h, f in model.load.items()})
+    return replace(problem, model=shake(model, factor))
 
 
 def repeat_rows(model: ReducedModel, times: int | Sequence[int]) -> ReducedModel:

@@ -1,11 +1,11 @@
 """Do the cases that found no solution have a periodic motion at all?
 
-    .venv/bin/python benchmarks/hard_cases.py --cases 108 --seed 41000 --cap 300
-    .venv/bin/python benchmarks/failures_in_time.py      reads its JSON; a few minutes
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/hard_cases.py --cases 108 --seed SEED --cap 300
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/failures_in_time.py      reads its JSON; a few minutes
 
-Each failure of `hard_cases.py` is stepped in time from the full-stick motion, at two step sizes. A motion that still
-changes from period to period after hundreds of periods, by a good part of itself and at both step sizes, has no stable
-periodic state for the harmonic solver to find; there may be unstable ones.
+Each failure of the sample that `hard_cases.py` draws of all its models is stepped in time from the full-stick motion,
+at two step sizes. A motion that still changes from period to period after hundreds of periods, by a good part of itself
+and at both step sizes, has no stable periodic state for the harmonic solver to find; there may be unstable ones.
 """
 
 from __future__ import annotations

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import scipy
 
+Result = TypeVar("Result")
 RESULTS = Path(__file__).resolve().parent / "results"
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -40,6 +43,16 @@ def describe_machine() -> dict[str, object]:
     return machine
 
 
+def clock(run: Callable[[], Result], repeats: int = 1) -> tuple[Result, float]:
+    """A call's last result, and the processor time that it took [s]: of so many, the shortest."""
+    times = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        result = run()
+        times.append(time.process_time() - begin)
+    return result, min(times)
+
+
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """A table with its columns aligned: words to the left, numbers to the right."""
     text = [[_show(cell) for cell in row] for row in rows]
@@ -64,7 +77,7 @@ def write_json(name: str, content: dict[str, object], path: Path | None = None) 
     """Write results to ``benchmarks/results/<name>.json`` or to a path of the user's choice."""
     path = path or RESULTS / f"{name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1, default=_plain) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(content, indent=1, default=_plain, allow_nan=False) + "\n", encoding="utf-8")
     print(f"\nwrote {path}")
     return path
 

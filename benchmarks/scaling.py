@@ -10,15 +10,13 @@ half of each series.
 from __future__ import annotations
 
 import argparse
-import resource
-import time
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from models import blade_root
-from reporting import describe_machine, print_table, write_json
+from reporting import clock, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -36,16 +34,12 @@ def measure_step(balance: HarmonicBalance, repeats: int, keep_all_rows: bool) ->
             linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)
         linear.solve(linear.residual)
 
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        step()
-        times.append(time.perf_counter() - begin)
+    _, seconds = clock(step, repeats)
     tracemalloc.start()
     step()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return min(times), peak / 1e6
+    return seconds, peak / 1e6
 
 
 def measure_size(pairs: int, harmonics: int, repeats: int, largest: int) -> dict:
@@ -53,9 +47,7 @@ def measure_size(pairs: int, harmonics: int, repeats: int, largest: int) -> dict
     model = blade_root(pairs)
     pose = lambda: ContactProblem(model, ContactLaws(friction=0.2), FREQUENCY, harmonics)  # noqa: E731
     _ = pose().system  # the model's own modes and rows, once
-    begin = time.perf_counter()
-    balance = HarmonicBalance(pose().system)
-    composing = time.perf_counter() - begin
+    balance, composing = clock(lambda: HarmonicBalance(pose().system))
     mixed = float(np.mean(~balance.linearise(balance.pack(*balance.full_stick)).steady))
     seconds, memory = measure_step(balance, repeats, keep_all_rows=False)
     whole = measure_step(balance, max(1, repeats // 2), keep_all_rows=True) if balance.size <= largest else (None, None)
@@ -69,7 +61,6 @@ def measure_size(pairs: int, harmonics: int, repeats: int, largest: int) -> dict
         "step_megabytes": memory,
         "all_rows_seconds": whole[0],
         "all_rows_megabytes": whole[1],
-        "process_peak_megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
 
 

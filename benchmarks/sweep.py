@@ -1,6 +1,6 @@
 """How long a frequency response takes, and how much faster two ranks are than one.
 
-    python benchmarks/sweep.py [--json FILE]
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/sweep.py [--output FILE]
 
 Runs itself under ``mpirun`` with one and with two ranks, in turn and several times, and takes medians. One BLAS thread
 a rank. The speed-up means something only while both cores are free: see the load average printed first.
@@ -9,7 +9,6 @@ a rank. The speed-up means something only while both cores are free: see the loa
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -43,7 +42,7 @@ def measure(out: Path, model_file: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/sweep.json]")
     parser.add_argument("--measure", nargs=2, type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.measure:
@@ -81,8 +80,8 @@ def main() -> None:
     points = len(FRICTION) * len(FREQUENCIES)
     print_table(f"{len(FRICTION)} curves, {points} points, N = 5, 40 pairs", ["ranks", "seconds", "speed-up"], rows)
     print(f"largest difference of the tip between one rank and two: {difference:.1e} of the largest amplitude")
-    content = {"seconds": seconds, "speed_up": median[1] / median[2], "difference": difference, "points": points}
-    write_json("sweep", {"machine": machine, **json.loads(json.dumps(content))}, arguments.json)
+    content = {"machine": machine, "points": points, "seconds": seconds, "speed_up": median[1] / median[2]}
+    write_json("sweep", content | {"difference": difference}, arguments.output)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from accuracy_honesty import limit_work
-from hard_cases import MODELS, CapReached, draw_cases, pose_case
+from hard_cases import MODELS, CapReached, draw_cases, limit_work, pose_case
 from models import two_blocks
 from reporting import describe_machine, print_table, write_json
 
