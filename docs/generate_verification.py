@@ -167,8 +167,8 @@ def describe_times(found: dict) -> list[str]:
 fastest N of those from which on errors stay within the level, against time stepping plain and accelerated, from rest
 and from full stick. An oracle that knows the answer stops it as soon as it is within the level; "own stop" is by its
 own criterion. Harmonic balance stops at the residual (`tolerance`) that takes the least time within the level; "to
-1e-8" is its time with the default one. Ratios are time stepping's time over that of harmonic balance; "to reach" is the ratio
-that the project aims at. Empty: not reached with what was tried.
+1e-8" is its time with the default one. Ratios are time stepping's time over that of harmonic balance; "to reach" is
+the ratio that the project aims at. Empty: not reached with what was tried.
 
 First with the better of the two closures, against the fastest of all ways to step, and against the fastest that stops
 by itself; "both by default" is the latter over harmonic balance with its default tolerance, where both stop by

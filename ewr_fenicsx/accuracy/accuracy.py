@@ -124,7 +124,7 @@ def solve_to_accuracy(
     Starts with few harmonics and samples, estimates the error and raises what dominates it (harmonics, samples or
     modes), each solve started at the one before. Harmonics whose contact forces do not matter are left out on the way.
     Masses that rub by themselves close the truncation of Coulomb's law, and above harmonic 3 springs do where joints
-    are elastic, as long as they find a solution.
+    are elastic, as long as they find a solution, or dashpots lead to one.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
     without, a larger set is tried once, and where it fails as well, what was found before stays.
 
@@ -175,10 +175,10 @@ def solve_to_accuracy(
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
     solution, estimate, limit, remedy, springs = start, None, "", AccurateSolution.remedy, True
     lost: list[int] = []
-    damped = -1  # set of harmonics that needs dashpots
+    closed: ContactProblem | None = None  # what the level is to be closed by, where that found nothing without dashpots
     most = int(highest)
     while not limit:
-        posed = pose_level(problem, top, density, dropped, springs and top != damped, solution)
+        posed = pose_level(problem, top, density, dropped, springs and closed is None, solution)
         chosen = posed.has_springs and not problem.has_springs
         try:
             if levels and len(modes) == levels[-1].modes:
@@ -187,9 +187,9 @@ def solve_to_accuracy(
                 found = solve(posed, solution, tolerance, fallbacks=not chosen)
         except NotConverged as error:
             if chosen:
-                damped = top  # dashpots are sturdier; springs that found nothing are not tried again
-                springs = "springs" not in posed.system.closures
+                closed = posed  # dashpots are sturdier, and may lead there
                 continue
+            closed = None
             if not levels and density == SAMPLES:
                 density = MORE_SAMPLES * posed.basis.samples / max(1, top)  # few may be in the way of any solution
                 continue
@@ -204,6 +204,9 @@ def solve_to_accuracy(
             limit = f"no solution found with harmonics up to {sets}: {error.best.reason}"
             remedy = "ask for less, or solve with harmonics of your own, which takes every fallback"
             break
+        if closed is not None:  # springs that nothing leads to are not tried again
+            found = leave_dashpots(found, closed, tolerance)
+            springs, closed = found.problem is closed or "springs" not in closed.system.closures, None
         tried += tuple(f"harmonics up to {top}: {rung}" for rung in found.fallbacks)
         found = replace(found, fallbacks=tried)
         before, solution, lost = solution if levels else None, found, []
@@ -297,6 +300,16 @@ def pose_level(
     closed = replace(posed, closure="spring")
     closures = closed.system.closures
     return closed if closures and (top > FIRST_ORDER or "springs" not in closures) else posed
+
+
+def leave_dashpots(found: PeriodicSolution, closed: ContactProblem, tolerance: float) -> PeriodicSolution:
+    """The solution with springs and masses from that with dashpots, or the latter where nothing leads there."""
+    try:
+        closer = best = solve(closed, found, tolerance, fallbacks=False)
+    except NotConverged as error:
+        closer, best = error.best, found
+    iterations, seconds = found.iterations + closer.iterations, found.seconds + closer.seconds
+    return replace(best, fallbacks=found.fallbacks, iterations=iterations, seconds=seconds)
 
 
 def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:

@@ -28,6 +28,7 @@ from ewr_fenicsx.solver.warm_starts import carry_over
 
 LEAST_LOOKAHEAD = 6  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 LEAST_SAMPLES = 64
+LASTING = 0.1  # relative change of springs with twice the harmonics, up to which they are the same
 RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
@@ -146,19 +147,33 @@ def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
 
 
 def raise_harmonics(problem: ContactProblem) -> ContactProblem:
-    """The problem with all harmonics up to half as high again, and samples to match.
+    """The problem with all harmonics up to half as high again, samples to match, and the truncation closed otherwise.
 
-    What springs leave is small and seen from further off: with twice the harmonics, and dashpots.
+    What springs leave is small and seen from further off: with twice the harmonics, and dashpots, unless the springs
+    are the same there as well and no approximation. What dashpots leave may be the same with some more harmonics, as
+    behind a stiff spring: it is seen from springs, where there are any.
     """
     highest = problem.basis.orders[-1]
-    sprung = "springs" in problem.system.closures
+    sprung, springs = "springs" in problem.system.closures, read_springs(problem)
     added = highest if sprung else highest // 2 + 1
     raised = highest + max(added, LEAST_LOOKAHEAD)
     # a number leaves out what is zero by symmetry, a list does not
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
     problem = replace(problem, harmonics=everything, samples=choose_samples(raised, density))
-    return use_mobility(replace(problem, closure="dashpot")) if sprung else problem
+    if sprung:
+        lasting = np.allclose(read_springs(problem), springs, rtol=LASTING, atol=0)
+        return problem if lasting else use_mobility(replace(problem, closure="dashpot"))
+    return replace(problem, closure="spring") if isinstance(problem.closure, str) else problem
+
+
+def read_springs(problem: ContactProblem) -> RealArray:
+    """``(K_c,)`` flexibility of the springs that close the truncation, zero at other pairs [m/N]."""
+    springs = np.zeros(problem.model.pairs)
+    for law in problem.system.laws:
+        if law.closes == "springs":
+            springs[law.pairs] = law.flexibility
+    return springs
 
 
 def find_ringing(problem: ContactProblem, top: int) -> list[int]:

@@ -17,12 +17,19 @@ from ewr_fenicsx.model.compliance import find_normal_modes, receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 Closure = Literal["mass", "dashpot", "spring"]
-ALIKE, ALONE = 2.0, 0.05  # of a mass: ratio by which it may vary over the harmonics left out; share that others move it
+# Ratio by which masses and springs may vary over the harmonics left out; share of a mass's motion that others may make
+ALIKE, ALONE = 2.0, 0.05
+# Multiples of the highest harmonic, so many of which in a row tell a spring; and the least share of the static
+# flexibility: behind stiffer springs the mass of what they hold closes the truncation better
+FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 7), 3, 3e-4
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
 def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int) -> RealArray:
     """``(m,)`` flexibility of contact rows beyond a highest harmonic, zero of those that move as masses [m/N].
+
+    Behind a spring of its own a pair's flexibility is the same over many harmonics, which may begin far beyond
+    (``find_own_springs``). Other pairs have one that falls: they are springs where much is left of it just beyond.
 
     Args:
         model: The reduced model.
@@ -35,7 +42,28 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
         beyond = average(np.abs(measure_beyond(model, rows, omega, list_beyond(highest))))
     except ModelError:  # one hits an undamped mode exactly
         return np.zeros(len(rows))
-    return np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0)
+    own = find_own_springs(model, rows, flexibility, omega, highest)
+    return np.where(own > 0, own, np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0))
+
+
+def find_own_springs(
+    model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int
+) -> RealArray:
+    """``(m,)`` flexibility of contact rows behind springs of their own, zero of others [m/N]; as in ``find_springs``.
+
+    Nothing but springs holds a node without mass of its own: above where what these are fixed to resonates on them, its
+    flexibility is positive and alike over harmonics.
+    """
+    found = np.zeros(len(rows))
+    try:
+        far = measure_beyond(model, rows, omega, [highest * int(f) for f in FAR])
+    except ModelError:  # one hits an undamped mode exactly
+        return found
+    for part in np.lib.stride_tricks.sliding_window_view(far, IN_A_ROW, axis=0)[::-1]:  # the nearest counts, the last
+        size, positive = np.abs(part), np.all(part.real > np.abs(part.imag), axis=1)
+        alike = positive & (size.max(axis=1) < ALIKE * size.min(axis=1))
+        found[alike] = average(size.T)[alike]
+    return np.where(found > LEAST_FAR * flexibility, found, 0.0)
 
 
 def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int) -> RealArray:

@@ -18,7 +18,7 @@ from ewr_fenicsx.laws.law_kinds import Law, PairGroup, choose_friction_weight, s
 from ewr_fenicsx.model.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.statics import takes_friction
-from ewr_fenicsx.problem.closure import find_masses, find_springs
+from ewr_fenicsx.problem.closure import find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.layout import DIRECTIONS, Layout, demand_rows, lay_out
@@ -128,7 +128,9 @@ def build_laws(
     rows = layout.rows_of(pairs)
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
-    masses = {d: choose_closing_mass(problem, pairs, layout, d, rubs_to_hold) for d in rows if d != "normal"}
+    masses = {
+        d: choose_closing_mass(problem, pairs, layout, flexibility, d, rubs_to_hold) for d in rows if d != "normal"
+    }
     closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
     clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
     group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
@@ -163,19 +165,28 @@ def choose_closing(
 
 
 def choose_closing_mass(
-    problem: Statement, pairs: np.ndarray, layout: Layout, direction: str, rubs_to_hold: bool
+    problem: Statement,
+    pairs: np.ndarray,
+    layout: Layout,
+    flexibility: RealArray,
+    direction: str,
+    rubs_to_hold: bool,
 ) -> RealArray:
     """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
 
-    None where bodies hang on friction: dashpots tell whether these walk. And none where no equation of the mean keeps
-    the mass's own surface from sliding off.
+    None behind a spring of the pair's own, where springs may close it. None where bodies hang on friction: dashpots
+    tell whether these walk. And none where no equation of the mean keeps the mass's own surface from sliding off.
     """
     highest, at = problem.basis.orders[-1], layout.index[direction]
     masses = np.zeros(at.size)
     held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
     if problem.has_masses and highest and held and not rubs_to_hold:
         odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
-        masses[at >= 0] = find_masses(layout.model, layout.rows[at[at >= 0]], problem.omega, odd)
+        rows = layout.rows[at[at >= 0]]
+        masses[at >= 0] = find_masses(layout.model, rows, problem.omega, odd)
+        if problem.has_springs and np.any(masses):
+            own = find_own_springs(layout.model, rows, flexibility[at[at >= 0]], problem.omega, highest)
+            masses[at >= 0] *= own == 0
     return masses[pairs]
 
 

@@ -345,7 +345,7 @@ def test_wear_goes_on_from_a_worn_joint():
 
 @pytest.mark.slow
 def test_worn_volume_does_not_depend_on_the_number_of_pairs(monkeypatch):
-    """10 and 20 pairs a flank of the blade root, on the same mesh but there; benchmarks/wear_pairs.py has the table with 40."""
+    """10 and 20 pairs a flank of the blade root, the mesh elsewhere as it is; wear_pairs.py has the table with 40."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     from wear_pairs import measure_volumes
 
