@@ -3,12 +3,13 @@
     .venv/bin/python benchmarks/accuracy_honesty.py              some thirty minutes on one core
     .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
 
-Cases: the sample of `hard_cases.py` (default weights) on the two small models, masses that rub on a rigid wall, the
-blade root as its demo and the studies load it, and the scenes of the gallery. Those where no pair ever slips or lifts
-off are linear and exact with any setting: they are counted, and left out of the shares. The reference is time stepping
-to the steady state at two step sizes, extrapolated; a harmonic solve of high order where time stepping has not settled.
-Where the two differ by more than a third of the smallest accuracy asked, neither counts as a reference, and the case is
-listed: lightly damped contact nodes with a mass of their own may chatter, and a problem may have several solutions.
+Cases: the sample of `hard_cases.py` (default weights) on the two small models, masses that rub on a rigid wall, others
+that rub through stiff springs, the blade root as its demo and the studies load it, and the scenes of the gallery. Those
+where no pair ever slips or lifts off are linear and exact with any setting: they are counted, and left out of the
+shares. The reference is time stepping to the steady state at two step sizes, extrapolated; a harmonic solve of high
+order where time stepping has not settled. Where the two differ by more than a third of the smallest accuracy asked,
+neither counts as a reference, and the case is listed: lightly damped contact nodes with a mass of their own may
+chatter, and a problem may have several solutions.
 
 The cheapest fixed setting is found by trying: orders, three closures of the friction law (the default: masses or
 dashpots; dashpots with the matched weight; springs) and two densities of samples, from cold;
@@ -217,8 +218,41 @@ def draw_rubbing_masses(count: int, seed: int) -> Iterator[tuple[str, ContactPro
         )
 
 
+def draw_dampers(count: int, seed: int) -> Iterator[tuple[str, ContactProblem]]:
+    """Names and problems of masses that rub through springs stiffer than their own, as friction dampers do.
+
+    In turn: a mass with one such spring under a given normal force; a body on two pads, behind springs in both
+    directions, that slides, bounces and rocks. Masses of 1 kg, with their resonances near 62 Hz; the load is 120 N.
+    """
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        ratio, friction, stiffer = rng.uniform(0.5, 1.4), rng.uniform(0.1, 0.4), 10 ** rng.uniform(0.5, 2.5)
+        spring = stiffer * 1.5e5
+        if i % 2 == 0:
+            name, mass, held = "damper", np.diag([1.0, 0.0]), np.diag([1.5e5, 0.0])
+            normal, tangential = np.zeros((1, 2)), np.array([[0.0, 1.0]])
+            links, springs = np.array([[1.0, -1.0]]), np.diag([spring])
+            laws = ContactLaws("prescribed", normal_force=120.0, friction=friction)
+            load = {1: [120.0, 0.0]}
+        else:
+            name, mass = "two pads", np.diag([1.0, 1.0, 2e-3, 0.0, 0.0, 0.0, 0.0])
+            held = np.diag([1.5e5, 5e4, 800.0, 0.0, 0.0, 0.0, 0.0])
+            normal, tangential = np.eye(7)[[4, 6]], np.eye(7)[[3, 5]]
+            lever, arm = 0.03, 0.05
+            body = np.array([[1.0, 0.0, lever], [0.0, 1.0, -arm], [1.0, 0.0, lever], [0.0, 1.0, arm]])
+            links, springs = np.hstack([body, -np.eye(4)]), spring * np.diag([1.0, 1.25, 1.0, 1.25])
+            laws = ContactLaws(friction=friction)
+            load = {0: [0.0, -120.0, 1.0, 0.0, 0.0, 0.0, 0.0], 1: 120.0 * np.eye(7)[0]}
+        stiffness = held + links.T @ springs @ links
+        loss = 10 ** rng.uniform(-3, -1) / 400.0  # at the resonance
+        output = np.eye(len(mass))[0]
+        model = ReducedModel(mass, loss * held, stiffness, normal, tangential, load, outputs={"x": output})
+        title = f"{name}: {ratio:.2f} f1, mu {friction:.2f}, spring x {stiffer:.0f}, damping {200 * loss:.2g}"
+        yield title, ContactProblem(model, laws, 62.0 * ratio)
+
+
 def list_cases(
-    count: int, masses: int, blade: int, gallery: int, seed: int
+    count: int, masses: int, dampers: int, blade: int, gallery: int, seed: int
 ) -> list[tuple[str, Callable[[], ContactProblem]]]:
     """Names and problems."""
     cases: list[tuple[str, Callable[[], ContactProblem]]] = []
@@ -226,7 +260,8 @@ def list_cases(
         for case in draw_cases(name, count, seed + i):
             case = replace(case, rho=(1, 1), harmonics=5)
             cases.append((case.name.split(", rho")[0].replace(", N 5", ""), lambda case=case: pose_case(case)))
-    cases += [(name, lambda problem=problem: problem) for name, problem in draw_rubbing_masses(masses, seed)]
+    drawn = (*draw_rubbing_masses(masses, seed), *draw_dampers(dampers, seed))
+    cases += [(name, lambda problem=problem: problem) for name, problem in drawn]
     for frequency, friction, factor in BLADE[:blade]:
 
         def pose(frequency=frequency, friction=friction, factor=factor) -> ContactProblem:
@@ -300,19 +335,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=24, help="sampled cases a small model [24]")
     parser.add_argument("--masses", type=int, default=18, help="masses that rub on a wall [18]")
+    parser.add_argument("--dampers", type=int, default=12, help="masses that rub through stiff springs [12]")
     parser.add_argument("--blade", type=int, default=len(BLADE), help="states of the blade root [8]")
     parser.add_argument("--gallery", type=int, default=len(GALLERY), help="states of other scenes [all]")
     parser.add_argument("--seed", type=int, default=11, help="of the sample [11]")
     parser.add_argument("--cap", type=float, default=12.0, help="processor seconds a solve [12]")
-    parser.add_argument("--quick", action="store_true", help="4 sampled cases a model, 3 masses, no blade root")
+    parser.add_argument("--quick", action="store_true", help="4 sampled cases a model, 3 masses, 2 dampers")
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/accuracy_honesty.json]")
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.cases, arguments.masses, arguments.blade, arguments.gallery = 4, 3, 0, 0
+        arguments.cases, arguments.masses, arguments.dampers = 4, 3, 2
+        arguments.blade = arguments.gallery = 0
     content: dict[str, object] = {"machine": describe_machine(), "seed": arguments.seed, "header": HEADER}
     cases: list[dict] = []
     begin = time.perf_counter()
-    drawn = list_cases(arguments.cases, arguments.masses, arguments.blade, arguments.gallery, arguments.seed)
+    counts = arguments.cases, arguments.masses, arguments.dampers, arguments.blade, arguments.gallery
+    drawn = list_cases(*counts, arguments.seed)
     for name, pose in drawn:
         case = run_case(name, pose(), arguments.cap)
         cases.append(case)

@@ -17,8 +17,9 @@ from ewr_fenicsx.balance.inexact_step import solve_inexactly
 from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.model.compliance import find_normal_modes
-from ewr_fenicsx.problem.closure import measure_beyond
+from ewr_fenicsx.problem.closure import find_own_springs, measure_beyond
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import use_mobility
 from ewr_fenicsx.solution.solution import PeriodicSolution
@@ -28,7 +29,6 @@ from ewr_fenicsx.solver.warm_starts import carry_over
 
 LEAST_LOOKAHEAD = 6  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
 LEAST_SAMPLES = 64
-LASTING = 0.1  # relative change of springs with twice the harmonics, up to which they are the same
 RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
@@ -149,31 +149,30 @@ def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
 def raise_harmonics(problem: ContactProblem) -> ContactProblem:
     """The problem with all harmonics up to half as high again, samples to match, and the truncation closed otherwise.
 
-    What springs leave is small and seen from further off: with twice the harmonics, and dashpots, unless the springs
-    are the same there as well and no approximation. What dashpots leave may be the same with some more harmonics, as
-    behind a stiff spring: it is seen from springs, where there are any.
+    What springs leave is small and seen from further off: with twice the harmonics, and dashpots. Behind springs of
+    their own pairs are seen from these: what dashpots leave there is the same with some more harmonics.
     """
     highest = problem.basis.orders[-1]
-    sprung, springs = "springs" in problem.system.closures, read_springs(problem)
+    sprung, owned = "springs" in problem.system.closures, has_own_springs(problem)
     added = highest if sprung else highest // 2 + 1
     raised = highest + max(added, LEAST_LOOKAHEAD)
     # a number leaves out what is zero by symmetry, a list does not
     everything = raised if isinstance(problem.harmonics, (int, np.integer)) else tuple(range(raised + 1))
     density = problem.basis.samples / max(1, highest)
     problem = replace(problem, harmonics=everything, samples=choose_samples(raised, density))
-    if sprung:
-        lasting = np.allclose(read_springs(problem), springs, rtol=LASTING, atol=0)
-        return problem if lasting else use_mobility(replace(problem, closure="dashpot"))
-    return replace(problem, closure="spring") if isinstance(problem.closure, str) else problem
+    if owned:
+        return replace(problem, closure="spring") if isinstance(problem.closure, str) else problem
+    return use_mobility(replace(problem, closure="dashpot")) if sprung else problem
 
 
-def read_springs(problem: ContactProblem) -> RealArray:
-    """``(K_c,)`` flexibility of the springs that close the truncation, zero at other pairs [m/N]."""
-    springs = np.zeros(problem.model.pairs)
-    for law in problem.system.laws:
-        if law.closes == "springs":
-            springs[law.pairs] = law.flexibility
-    return springs
+def has_own_springs(problem: ContactProblem) -> bool:
+    """Whether all pairs that rub do so behind springs of their own."""
+    system, highest = problem.system, problem.basis.orders[-1]
+    rub = [system.row_of("tangential", law.pairs) for law in system.laws if isinstance(law, FrictionLaw)]
+    if not (rub and problem.frequency and highest):
+        return False
+    at = np.concatenate(rub)
+    return bool(np.all(find_own_springs(system.model, system.rows[at], system.flexibility[at], problem.omega, highest)))
 
 
 def find_ringing(problem: ContactProblem, top: int) -> list[int]:
