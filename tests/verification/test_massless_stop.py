@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from small_models import stop_oscillator
+from small_models import PROBLEMS, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
@@ -55,6 +55,16 @@ def test_a_stop_without_mass_is_stepped_with_second_order(coupled):
         errors.append(abs(steady.output("tip")[1] - exact) / abs(exact))
     assert errors[1] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15) == errors[1] / errors[2]
+
+
+def test_an_end_without_mass_that_sticks_does_not_slide():
+    """Its rate at the end of a step, which does not vanish, is what makes up for what was late in the step before."""
+    steady = integrate(PROBLEMS["lift-off"], steps=200, tolerance=1e-6)
+    normal, friction = steady.last.impulses.T
+    sticks = (normal > 0) & (np.abs(friction) < (0.3 - 1e-6) * normal)
+    speed = np.roll(steady.sliding_speed()[:, 0], -1)  # at the end of each step
+    assert 5 < np.count_nonzero(sticks) < 50
+    assert speed[sticks].max() < 1e-6 * speed.max() < speed[~sticks].min()
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.3])
