@@ -9,8 +9,10 @@ import pytest
 from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, integrate, solve
+from ewr_fenicsx.balance.balance import pose_at
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.solution.loading_history import find_stuck
 from ewr_fenicsx.solver import initial_states, snes
 
 PULL, NORMAL, ALONG, CLAMP = 200.0, 1e6, 2e6, 1e6  # N; stiffness of the flank, along it, and of the clamp [N/m]
@@ -92,6 +94,15 @@ def test_without_it_the_answer_is_another_and_says_that_it_is_open():
     (told,) = (line for line in least.cautions if "depends on how the loads came" in line)
     assert "friction holds pair 1 throughout" in told and "normal forces" in told and 'static_friction = "held"' in told
     assert not any("how the loads came" in line for line in solve(pose(60.0, clamp())).cautions)
+
+
+def test_what_a_pair_may_carry_is_its_least_limit_over_the_period():
+    """Under 100 N and 40 N that come and go it rubs with 30 N to 70 N."""
+    problem = shaken_node(0.01, 10.0)
+    varying = ContactLaws("prescribed", normal_force={0: 100.0, 1: 40.0}, friction=0.5)
+    found = solve(replace(problem, laws=varying))
+    pairs, limit = find_stuck(pose_at(found.problem.system, found.forces, found.rigid)[0], found.forces, found.rigid)
+    assert pairs.tolist() == [0] and limit == pytest.approx([30.0], rel=1e-12)
 
 
 def test_one_whose_pairs_all_slip_is_not_open():
