@@ -10,8 +10,9 @@ import pytest
 from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, solve, solve_to_accuracy
+from ewr_fenicsx.errors import UnheldBody
 from ewr_fenicsx.in_time.deviations import differentiate_laws, step_deviations
-from ewr_fenicsx.laws.law_kinds import Law, LawKind, Motion, PairGroup, Partial, Response, register_law
+from ewr_fenicsx.laws.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
 from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact
 
 
@@ -47,6 +48,18 @@ class SlipperySpring(ClaimedSpring):
     """The same, said to slip."""
 
     slides: ClassVar[bool] = True
+
+
+@register_law("tangential", "bounded spring")
+@dataclass(frozen=True, eq=False)
+class BoundedSpring(ClaimedSpring):
+    """The same, said to carry mean forces between two bounds [N]."""
+
+    smallest: float = 0.0
+    largest: float = 0.0
+
+    def bound_mean(self, spread) -> MeanBound:
+        return MeanBound(self.smallest, self.largest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +145,19 @@ def test_a_pair_that_is_open_slides_whatever_its_friction_leaves_unsaid():
     is_open = classify_contact(solution, 256) == OPEN
     np.testing.assert_array_equal(solution.sliding_speed(256) > 0, is_open)
     assert 0.1 < is_open.mean() < 0.9
+
+
+@pytest.mark.parametrize("bounds, holds", [((-1.0, 1.0), True), ((0.0, 1.0), False), ((-1.0, 0.0), False)])
+def test_a_law_holds_a_floating_body_by_what_it_carries_either_way(bounds, holds):
+    """Which way it must is not known before the state is."""
+    floating = friction_oscillator(stiffness=0.0, damping=0.1, load={0: 0.5, 1: 1.0})
+    parameters = dict(zip(("smallest", "largest"), bounds, strict=True))
+    laws = ContactLaws("prescribed", "bounded spring", normal_force=0.0, parameters=parameters)
+    if holds:
+        assert solve(ContactProblem(floating, laws, 0.3, 3)).output("tip")[0].real == pytest.approx(0.5)
+    else:
+        with pytest.raises(UnheldBody, match="can move without any contact noticing"):
+            solve(ContactProblem(floating, laws, 0.3, 3))
 
 
 UNSEEN = "stability is not looked at: SpringWithLag sees force_rate"
