@@ -68,6 +68,22 @@ def test_two_pairs_of_a_rigid_block_wear_as_one_of_twice_the_area(jump):
     assert wear(2, 1e-5) == pytest.approx(wear(1, 2e-5), rel=1e-3), "one carries all, then the other"
 
 
+def test_nothing_takes_the_load_from_pairs_on_which_a_rigid_block_tips():
+    """It follows what wears off three, two of which balance it; what they leave of its one spring is rounding."""
+    arms = (-0.7, 0.1, 0.9)
+    block = ReducedModel(
+        mass=np.diag([1.0, 1.0, 0.4]),
+        damping=np.diag([50.0, 0.0, 0.0]),
+        stiffness=np.diag([1.3e6, 0.0, 0.0]),
+        normal=[[0.3, 1.0, arm] for arm in arms],
+        tangential=[[1.0, -0.3, 0.0]] * 3,
+        load={0: [0.0, -100.0, 0.0], 1: [80.0, 0.0, 0.0]},
+        pair_area=np.full(3, 1e-5),
+    )
+    problem = ContactProblem(block, ContactLaws(friction=0.1), 150.0, 3, closure="dashpot")
+    np.testing.assert_array_equal(find_wear_stiffness(solve(problem), np.full(3, 1e-11)), 0.0)
+
+
 def test_a_load_that_open_pairs_do_not_share_wears_on_and_on():
     """Four of five never touch, and nothing takes the load from the fifth, whatever a cycle wears."""
     problem = punch(0.1 * np.array([1.0, 1.0, 0.0, 1.0, 1.0]))
