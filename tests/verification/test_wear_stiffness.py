@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import winkler_punch
+from small_models import lift_off_oscillator, winkler_punch
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve
-from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness
+from ewr_fenicsx.solution.contact_state import OPEN, classify_contact
+from ewr_fenicsx.wear.archard import SAMPLES, find_explicit_limit, find_wear_stiffness
 
 LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 STEEP = 4e-7  # wear coefficient [1/Pa] by which a cycle wears several times the pressure away
@@ -82,6 +83,17 @@ def test_nothing_takes_the_load_from_pairs_on_which_a_rigid_block_tips():
     )
     problem = ContactProblem(block, ContactLaws(friction=0.1), 150.0, 3, closure="dashpot")
     np.testing.assert_array_equal(find_wear_stiffness(solve(problem), np.full(3, 1e-11)), 0.0)
+
+
+def test_a_pair_wears_while_it_is_closed_and_stands_as_stiff_throughout():
+    """Open for 45 % of the period. Its load over its depth is the static flexibility's inverse, and nothing floats."""
+    model = replace(lift_off_oscillator(excitation=4.0), pair_area=[0.5])
+    solution = solve(ContactProblem(model, ContactLaws(friction=0.3), 0.2, 9))
+    assert 0.4 < np.mean(classify_contact(solution, SAMPLES) == OPEN) < 0.5
+    flexibility = np.linalg.inv(model.stiffness)[3, 3]
+    sliding = solution.sliding_speed(SAMPLES).mean() / 0.2
+    decay = find_wear_stiffness(solution, np.array([1e-3]))
+    assert decay[0, 0] == pytest.approx(1e-3 * sliding / 0.5 / flexibility, rel=1e-12)
 
 
 def test_a_load_that_open_pairs_do_not_share_wears_on_and_on():
