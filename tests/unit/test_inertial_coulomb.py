@@ -15,7 +15,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.laws.coulomb import Coulomb
 from ewr_fenicsx.laws.inertial_coulomb import InertialCoulomb, slide
 from ewr_fenicsx.problem.closure import find_masses
-from ewr_fenicsx.problem.harmonics import select_basis
+from ewr_fenicsx.problem.harmonics import FourierBasis, select_basis
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -252,6 +252,16 @@ def test_a_mass_that_sticks_is_at_rest_in_both_closures():
     masses, dashpots = solve(problem), solve(replace(problem, closure="dashpot"))
     np.testing.assert_allclose(masses.forces, dashpots.forces, atol=1e-12)
     assert masses.merit["J_T"] < 1e-12
+
+
+def test_the_surface_of_a_mass_that_hardly_rubs_moves_with_it():
+    """At the same instants: a sample late, it would lag by a 64th of a turn."""
+    rub = ContactProblem(friction_oscillator(damping=0.1), ContactLaws("prescribed", normal_force=1e-4), 0.2, 5)
+    found = solve(rub)
+    ((law, fields),) = found.law_fields(FourierBasis(found.orders, 64))
+    assert isinstance(law, InertialCoulomb)
+    moved = 2 / 64 * np.fft.rfft(fields["surface_slip"][:, 0])[1]
+    assert moved == pytest.approx(found.output("tip")[1], rel=2e-3)
 
 
 def test_masses_close_the_truncation_unless_something_else_is_asked_for():
