@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import make_dataclass
 
 import dolfinx
+import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
@@ -15,6 +16,7 @@ from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.laws import law_kinds
 from ewr_fenicsx.structure import _compat, chain
 from ewr_fenicsx.structure.chain import Stopwatch, add_times
+from ewr_fenicsx.structure.elasticity import CentrifugalForce
 
 
 @pytest.fixture
@@ -105,6 +107,14 @@ def test_a_law_of_flanks_that_only_the_mesh_knows_is_told_before_the_reduction(t
     (tmp_path / "scene.toml").write_text(write_blocks(*tables, source=BLOCKS.parents[2] / "geometry" / "dovetail.py"))
     with pytest.raises(SceneError, match=r"scene.toml: contact: .*missing .* 'spring'; give it in parameters="):
         chain.build_chain(load_scene(tmp_path / "scene.toml"))
+
+
+def test_a_speed_in_turns_a_minute_is_an_angular_velocity(tmp_path):
+    rotation = '[loads.spin]\nkind = "rotation"\nspeed = 3000.0\ncentre = [0.0, -0.5]'
+    (tmp_path / "scene.toml").write_text(write_blocks(rotation))
+    loads = [chain._load(name, load) for name, load in load_scene(tmp_path / "scene.toml").loads.items()]
+    (spin,) = (load for load in loads if isinstance(load, CentrifugalForce))
+    assert spin.omega == pytest.approx(2 * np.pi * 50.0) and tuple(spin.centre) == (0.0, -0.5)
 
 
 def test_a_joint_to_a_third_body_is_told(tmp_path):
