@@ -14,6 +14,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.newton_step import Factorisation
 from ewr_fenicsx.errors import ModelError, NotConverged
+from ewr_fenicsx.response import following
 from ewr_fenicsx.solver import growing_sets, snes, splitting, warm_starts
 from ewr_fenicsx.solver.snes import run_newton
 from ewr_fenicsx.solver.warm_starts import carry_over, list_starts
@@ -39,6 +40,19 @@ def test_a_start_from_a_neighbour_saves_steps_and_finds_the_same():
     cold, warm = solve(problem, tolerance=1e-10), solve(problem, start=near, tolerance=1e-10)
     assert warm.iterations < cold.iterations
     np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-6 * np.abs(cold.forces).max())
+
+
+def test_two_neighbours_predict_what_is_linear_along_their_branch(monkeypatch):
+    """As under wear a pair that stays closed: from depths of 0 and 0.1 to one of 0.3."""
+    closed = ContactProblem(lift_off_oscillator(excitation=0.3), ContactLaws(tangential="frictionless"), 0.2, 3)
+    first, second, exact = (solve(replace(closed, wear=[depth])) for depth in (0.0, 0.1, 0.3))
+    predicted = []
+    predict = following.list_predicted
+    monkeypatch.setattr(following, "list_predicted", lambda _, *given: predicted.extend(given) or predict(_, *given))
+    found = following.solve_from(exact.problem, second, first, ratio=2.0)
+    assert found.converged and exact.merit["tension"] == 0
+    for guess, true in zip(predicted, (exact.forces, following.read_motion(exact), exact.rigid), strict=True):
+        np.testing.assert_allclose(guess, true, atol=1e-9)
 
 
 @pytest.mark.parametrize("harmonics", [3, 9, (0, 1, 4)])
