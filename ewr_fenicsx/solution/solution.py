@@ -95,7 +95,7 @@ class PeriodicSolution(PeriodicMotion):
         for direction, which in along.items():
             acts = problem.system.row_of(direction, np.arange(model.pairs)) >= 0
             force, speed = (self.history(which + n, count) for n in ("admissible_friction_force", "slip_velocity"))
-            rubbed -= period * np.sum(np.mean(force * speed, axis=0)[acts])
+            rubbed -= period * np.sum(np.mean(force * speed, axis=0))
             truncated.append((self.history(which + "friction_force", fine) * acts)[:, slides])  # bonds have no cone
         scale = max(abs(work), dissipated + abs(rubbed), np.finfo(float).tiny)
         figures = {
