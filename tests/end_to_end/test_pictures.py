@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from small_scenes import write_blocks
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
@@ -18,7 +20,7 @@ from ewr_fenicsx.output import plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
 from ewr_fenicsx.output.mesh_plots import draw_mesh
 from ewr_fenicsx.runs.study import run_study
-from ewr_fenicsx.solution.contact_state import SLIP, classify_contact
+from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, sample_friction_limit
 from ewr_fenicsx.structure.chain import build_chain
 
 ROOT = Path(__file__).parents[2]
@@ -136,6 +138,34 @@ def test_forces_are_told_apart_by_colour_and_length(drawn, tmp_path):
 def test_a_mesh_that_is_drawn_closed_says_so_where_the_scene_has_a_gap(drawn):
     assert drawn("tapping_rod")[1].get_title() == "joint: 5 pairs, drawn without initial gaps"
     assert drawn("two_blocks")[1].get_title() == "joint: 9 pairs"
+
+
+def test_pairs_lie_on_the_edges_of_the_mesh(drawn):
+    for axes in drawn("two_blocks"):
+        (outline,) = (drawing for drawing in axes.collections if isinstance(drawing, LineCollection))
+        corners = np.concatenate(outline.get_segments())
+        points = np.concatenate([np.transpose(line.get_data()) for line in axes.lines if line.get_marker() == "o"])
+        assert np.linalg.norm(points[:, None] - corners, axis=2).min(axis=1).max() < 1e-6
+
+
+def test_pairs_are_drawn_in_the_units_that_the_axes_name(tmp_path, monkeypatch):
+    (tmp_path / "scene.toml").write_text(write_blocks(shake=200.0))
+    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_histories(tmp_path / "histories.png", study.chain.interface, study.solution)
+    plots.draw_contact_sets(tmp_path / "sets.png", study.chain.interface, study.solution)
+    histories, sets = (figure.axes[:-1] for figure in figures)
+    normal, rubbing, gap, slip, velocity = map(study.solution.history, plots.LEAST)
+    limit = sample_friction_limit(study.solution, plots.SAMPLES)
+    shown = limit > 0.05 * limit.max()
+    assert gap.max() > 1e-6 and velocity.max() > 0.01, "pairs open and slip"
+    for axes, values in zip(histories, (normal, rubbing, 1e6 * gap, 1e6 * (slip - slip.mean(axis=0))), strict=True):
+        np.testing.assert_allclose(np.transpose([line.get_ydata() for line in axes.lines[:-1]]), values, atol=1e-9)
+    pressing, sliding = (np.concatenate([line.get_data() for line in axes.lines[1:]], axis=1) for axes in sets)
+    np.testing.assert_allclose(pressing, [1e6 * gap.T.ravel(), normal.T.ravel()], atol=1e-9)
+    share = rubbing.T[shown.T] / limit.T[shown.T]
+    np.testing.assert_allclose(sliding, [1e3 * velocity.T[shown.T], share], atol=1e-9)
 
 
 def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
