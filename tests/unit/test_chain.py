@@ -117,6 +117,15 @@ def test_a_speed_in_turns_a_minute_is_an_angular_velocity(tmp_path):
     assert spin.omega == pytest.approx(2 * np.pi * 50.0) and tuple(spin.centre) == (0.0, -0.5)
 
 
+def test_a_phase_in_degrees_leads(tmp_path):
+    """``force cos(omega t + phase)`` has the amplitude ``i force`` at 90 degrees."""
+    push = '[loads.lead]\nboundary = "tip"\nforce = [3.0, 0.0]\nharmonic = 1\nphase = 90.0'
+    (tmp_path / "scene.toml").write_text(write_blocks(push))
+    loads = chain.build_chain(load_scene(tmp_path / "scene.toml")).structure.loads
+    (load,) = (load for load in loads if load.name == "lead")
+    assert load.amplitude == pytest.approx(1j)
+
+
 def test_a_joint_to_a_third_body_is_told(tmp_path):
     pile = str(BLOCKS.with_name("pile.py"))
     (tmp_path / "scene.toml").write_text(write_blocks(source=pile))
