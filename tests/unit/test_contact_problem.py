@@ -10,7 +10,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.laws.bonded import Bond
 from ewr_fenicsx.laws.coulomb import Coulomb
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
@@ -65,6 +65,15 @@ def test_floating_bodies_add_their_rigid_motions_unless_bonds_hold_them(normal, 
     balance = HarmonicBalance(problem.system)
     rows = problem.system.rows.shape[0]
     assert balance.size == rows * FULL + rigid
+
+
+def test_a_given_normal_force_holds_a_floating_body_as_far_as_its_friction_goes():
+    """With a coefficient of 0.5 under 2 N: up to 1 N of mean load."""
+    rub = ContactLaws("prescribed", normal_force=2.0, friction=0.5)
+    floating = friction_oscillator(stiffness=0.0, damping=0.1, load={0: 0.9, 1: 0.05})
+    assert solve(ContactProblem(floating, rub, 0.3, 3)).history("friction_force").mean() == pytest.approx(-0.9)
+    with pytest.raises(UnheldBody, match="nothing holds a floating body"):
+        solve(ContactProblem(replace(floating, load={0: [1.1], 1: [0.05]}), rub, 0.3, 3))
 
 
 def test_contact_without_a_mean_holds_no_floating_body():
