@@ -45,6 +45,7 @@ MOST_MODES = 240
 MOST_LOST = 2  # sets of harmonics in a row that no solution is found with, before the accuracy is given up
 IDLE = 0.02  # share of the accuracy asked for that does not matter, in forces of harmonics and in errors by samples
 
+MORE = "allow more, or ask for less"  # remedy for limits that the caller sets
 MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
 
 
@@ -83,7 +84,7 @@ class AccurateSolution:
     limit: str
     levels: tuple[Level, ...] = field(repr=False)
     seconds: float
-    remedy: str = "allow more, or ask for less"
+    remedy: str = MORE
 
     def summary(self) -> str:
         """A few lines for people."""
@@ -173,7 +174,7 @@ def solve_to_accuracy(
     density, dropped = float(SAMPLES), frozenset()
     levels: list[Level] = []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
-    solution, estimate, limit, remedy, springs = start, None, "", AccurateSolution.remedy, True
+    solution, estimate, limit, remedy, springs = start, None, "", MORE, True
     lost: list[int] = []
     closed: ContactProblem | None = None  # what the level is to be closed by, where that found nothing without dashpots
     most = int(highest)

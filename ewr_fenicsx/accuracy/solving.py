@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ewr_fenicsx.accuracy.accuracy import solve_to_accuracy
+from ewr_fenicsx.accuracy.accuracy import MORE, solve_to_accuracy
 from ewr_fenicsx.accuracy.estimates import estimate_at_once
 from ewr_fenicsx.errors import EwrError, ModelError, NotConverged
 from ewr_fenicsx.problem.contact_problem import ContactProblem
@@ -66,7 +66,8 @@ def solve(
         if raise_on_failure:
             raise
         return error.best
-    short = f"{found.limit}; {found.remedy}" if found.limit else ""
+    remedy = "ask for less, or allow more in solve_to_accuracy" if found.remedy == MORE else found.remedy
+    short = f"{found.limit}; {remedy}" if found.limit else ""
     return replace(found.solution, estimated_error=found.estimate.total, short=short)
 
 

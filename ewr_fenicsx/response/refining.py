@@ -189,7 +189,8 @@ def join_points(
                 if may_go:  # points between may have gone already: a wide gap in the first curve excuses nothing
                     continue
                 ends = last.solution.problem.frequency, point.problem.frequency
-                jumps.append(Jump(ends, "with more harmonics no common branch was found"))
+                why = "with more harmonics no common branch was found"
+                jumps.append(Jump(ends, f"{why}; one may be with a larger `harmonics`, of the first curve"))
         kept.append((point, here))
     return [here for _, here in kept], jumps
 

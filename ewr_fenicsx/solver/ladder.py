@@ -74,11 +74,15 @@ def start_cold(
 ) -> Attempt:
     """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
 
-    Where that ends next to a solution, through more sets of harmonics, stepping over corners.
+    Where that ends next to a solution, through more sets of harmonics, stepping over corners. Where bodies that are
+    left to themselves never touch, there is nothing to look for.
 
     ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried. Nor are they where
     the harmonics are few and Newton's path has led nowhere.
     """
+    free = np.zeros(balance.size)
+    if np.linalg.norm(balance.residual(free)) <= tolerance:
+        return run_newton(balance, free, tolerance, linear_solver)
     split = start_from_splitting(balance, tolerance, linear_solver)
     if split.converged or split.walks:
         return split

@@ -30,7 +30,7 @@ from ewr_fenicsx.scene.scene_sense import hint_at_lengths
 from ewr_fenicsx.structure import _compat
 
 MODEL_NAME = "ewr_fenicsx"
-MOST_CELLS = 3e6  # in the box around a geometry; more take hours, and nobody means them
+MOST_CELLS = 1e6  # in the box around a geometry; more take long, and in a plane nobody means them
 
 # The corners next to each corner, turned so that an uninverted cell gives positive determinants, and the determinant
 # of unit edges in the ideal cell.

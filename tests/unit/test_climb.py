@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.solver import ladder
 
@@ -60,3 +60,21 @@ def test_all_sets_are_tried_in_small_joints_next_to_a_solution_or_where_that_is_
     monkeypatch.setattr(ladder, "LARGEST_TRACED", balance.size - large)
     found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, all_sets=all_sets)
     assert visited == [5, 15] and found.converged and found.residual <= 1e-8
+
+
+@pytest.mark.parametrize("closure", ["mass", "dashpot", "spring"])
+@pytest.mark.parametrize("gap", [1e-3, 20.0])
+def test_bodies_that_never_touch_take_no_step(gap, closure):
+    """A mass that could rub on what it never reaches took 23 steps, and farther away all of the ladder."""
+    model = ReducedModel(
+        np.eye(2),
+        20.0 * np.eye(2),
+        [[2e6, -1e6], [-1e6, 2e6]],
+        normal=[[0.0, -1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, 50.0], 1: [30.0, 20.0]},
+    )
+    laws = ContactLaws(friction=0.3, initial_gap=gap)
+    solution = solve(ContactProblem(model, laws, 150.0, closure=closure))
+    assert solution.iterations == 0 and not solution.fallbacks and not np.any(solution.forces)
+    assert solution.history("gap", 64).min() > 0.5 * gap

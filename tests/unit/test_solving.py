@@ -85,7 +85,7 @@ def test_what_falls_short_says_why(monkeypatch):
     monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.MOST_HARMONICS", 5)
     solution = solve(JOINT, accuracy=1e-6)
     assert solution.converged and solution.estimated_error > 1e-6
-    assert solution.short == "harmonic 5 is the highest allowed; allow more, or ask for less"
+    assert solution.short == "harmonic 5 is the highest allowed; ask for less, or allow more in solve_to_accuracy"
     assert f"NOT as accurate as asked: {solution.short}" in solution.summary()
 
 
