@@ -8,6 +8,7 @@ export OMP_NUM_THREADS = $(THREADS)
 .PHONY: help setup setup-full demo test test-all test-trixie clean
 
 help:
+	@echo 'make setup        install what is missing'
 	@echo 'make demo         install what is missing, solve the blade root, name the files written'
 	@echo 'make test         install what is missing, run the tests'
 	@echo 'make test-all     the slow tests as well, and what they need (ParaView: 1 GB on disk; pyHarm)'
@@ -19,7 +20,7 @@ setup:
 
 setup-full:
 	@tools/setup.sh full
-	@cd benchmarks && ../.venv/bin/python -c 'import peers; peers.build_environment()'
+	-@cd benchmarks && ../.venv/bin/python -c 'import peers; peers.build_environment()'
 
 demo: setup
 	.venv/bin/python demos/blade_root.py

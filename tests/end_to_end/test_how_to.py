@@ -11,12 +11,14 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx import integrate, load_scene, solve
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, LOADS, ACCURACY, TRANSIENT = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+SCRIPT, READER, ELEMENTS, LOADS, ACCURACY, TRANSIENT = re.findall(
+    r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
+)
 
 
 def to_scipy(matrix):
@@ -50,6 +52,19 @@ def exported(blocks, tmp_path, monkeypatch):
     columns = [loads[0], loads[1], structure.outputs["top"].array[free]]
     np.savetxt("loads.csv", np.column_stack(columns), delimiter=",", header="static, shaking, followed")
     return free
+
+
+def test_elements_behind_springs_move_as_in_time(capsys):
+    """The slider slips and the stop is hit."""
+    names: dict = {}
+    exec(compile(ELEMENTS, "docs/how_to.md", "exec"), names)
+    solution = names["solution"]
+    assert "estimated error" in capsys.readouterr().out and not solution.short
+    assert solution.estimated_error < 0.01
+    assert solution.history("normal_force", 256)[:, 1].max() > 100.0 and solution.merit["friction_dissipation"] > 0.1
+    steady = integrate(solution.problem, "rest", 3200, 200, tolerance=1e-7)
+    assert steady.converged
+    assert abs(solution.output("x")[1] - steady.output("x")[1]) < 0.01 * abs(steady.output("x")[1])
 
 
 def test_matrices_of_another_code_give_the_motion_of_the_scene(exported, blocks, capsys):
