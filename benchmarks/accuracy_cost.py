@@ -1,37 +1,37 @@
 """What accuracy costs in time on the blade root: every knob by itself, against time stepping.
 
-    .venv/bin/python benchmarks/accuracy_cost.py             some eight minutes on one core
-    .venv/bin/python benchmarks/accuracy_cost.py --quick     a minute, few settings
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/accuracy_cost.py             some eight minutes on one core
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/accuracy_cost.py --quick     a minute, few settings
     .venv/bin/python docs/generate_accuracy.py               writes docs/accuracy.md and its pictures from the JSON
 
 At 1000 Hz, near the resonance of the slipping joint, where all flanks slip and half of the pairs lift off for a while.
 The reference is `integrate`, steps halved until the response moves by less than can be seen, the outputs extrapolated;
 its own error is the change with the last halving, and the distance to a harmonic solve of high order is shown beside
 it. Knobs of the structure (modes, mesh, pairs) are turned at N = 5, with the finest of their row as reference, the
-finest mesh of degree 2 for both degrees. Times are the process's own (CPU), medians of three from cold; compilation and
-what is computed once a model are not timed.
+finest mesh of degree 2 for both degrees. Times are the process's own (CPU) from cold: of settings medians of three, of
+all else single runs; those of a run's stages are wall time. Compilation and what is computed once a model are not
+timed.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import resource
 import time
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from statistics import median
 
 import numpy as np
 from hard_cases import Case, pose_case
 from models import ROOT
 from mpi4py import MPI
-from reporting import RESULTS, describe_machine, print_table, write_json
+from reporting import RESULTS, clock, describe_machine, print_table, write_json
 from scipy.optimize import minimize_scalar
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
+from ewr_fenicsx import ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy.cost import (
     ERRORS,
     HIGHEST_VARIANT,
@@ -62,8 +62,8 @@ JUMPS = (0.3, 0.1, 0.03, 0.01, 0.003)
 SHARES = (1e-3, 3e-3, 1e-2, 3e-2)
 
 
-def find_reference(problem: ContactProblem, steps: tuple[int, ...]) -> tuple[Figures, dict[str, float], object]:
-    """Figures of the steady motion, their own errors by the last halving of the step, and the last run."""
+def find_reference(problem: ContactProblem, steps: tuple[int, ...]) -> tuple[Figures, dict[str, float]]:
+    """Figures of the steady motion, and their own errors by the last halving of the step."""
     start, found = solve(replace(problem, harmonics=15)), []
     for count in steps:
         posed = replace(problem, harmonics=min(63, (count - 1) // 2))
@@ -73,7 +73,7 @@ def find_reference(problem: ContactProblem, steps: tuple[int, ...]) -> tuple[Fig
         print(f"  reference: {steady.summary()}", flush=True)
     own = compare_figures(found[-2], found[-1])
     output = found[-1].output + (found[-1].output - found[-2].output) / 3  # the scheme is of second order
-    return replace(found[-1], output=output), own, steady
+    return replace(found[-1], output=output), own
 
 
 def time_steps(problem: ContactProblem, reference: Figures, steps: tuple[int, ...]) -> list[dict]:
@@ -81,9 +81,8 @@ def time_steps(problem: ContactProblem, reference: Figures, steps: tuple[int, ..
     rows = []
     for knob, accelerated in (("time steps", False), ("time steps, accelerated", True)):
         for count in steps:
-            begin = time.process_time()
-            steady = integrate(replace(problem), None, count, 120, 1e-4, acceleration=accelerated)
-            spent = time.process_time() - begin
+            run = partial(integrate, replace(problem), None, count, 120, 1e-4, acceleration=accelerated)
+            steady, spent = clock(run)
             steady = replace(steady, problem=replace(problem, harmonics=min(63, count // 2 - 1)))
             row = {"knob": knob, "value": count, "unknowns": count, "steps": steady.periods}
             row |= {"converged": steady.converged, "seconds": spent}
@@ -95,9 +94,7 @@ def ask_for_accuracy(problem: ContactProblem, reference: Figures, accuracies: tu
     """Rows as of ``survey``: an accuracy asked for, and what came out."""
     rows = []
     for accuracy in accuracies:
-        begin = time.process_time()
-        found = solve_to_accuracy(replace(problem), accuracy)
-        spent = time.process_time() - begin
+        found, spent = clock(partial(solve_to_accuracy, replace(problem), accuracy))
         row = {"knob": "accuracy asked for", "value": accuracy, "unknowns": found.solution.unknowns}
         row |= {"steps": sum(level.steps for level in found.levels), "converged": True, "seconds": spent}
         row |= {"N": found.solution.orders[-1], "estimate": found.estimate.total, "reached": found.reached}
@@ -140,9 +137,8 @@ def turn_structure(quick: bool) -> list[dict]:
         mine = []
         for value, change in positions:
             chain = build_chain(scene.model_copy(update=change), MPI.COMM_SELF)
-            begin = time.process_time()
-            found = measure_scalars(pose_problem(chain.scene, chain.reduction.model, chain.interface))
-            spent = time.process_time() - begin
+            posed = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+            found, spent = clock(partial(measure_scalars, posed))
             nodes = chain.structure.space.dofmap.index_map.size_global
             mine.append((value, nodes, chain.interface.area.size, dict(chain.seconds), spent, found))
         measured[knob] = mine
@@ -174,14 +170,13 @@ def turn_peak(problem: ContactProblem, quick: bool) -> dict:
     stepping takes a parabola through three points close by; its own error is the change with the last halving.
     """
     grid = np.linspace(*PEAK, 4 if quick else 9)
-    rows, curves = [], {}
+    rows = []
     for n in PEAK_ORDERS[: 2 if quick else 4]:
         begin, solution, solutions = time.process_time(), None, []
         for frequency in grid:
             solution = solve(replace(problem, frequency=float(frequency), harmonics=n), start=solution)
             solutions.append(solution)
-        curves[str(n)] = list(map(read_height, solutions))
-        top = int(np.clip(np.argmax(curves[str(n)]), 1, len(grid) - 2))
+        top = int(np.clip(np.argmax(list(map(read_height, solutions))), 1, len(grid) - 2))
 
         def lower(frequency: float, near: PeriodicSolution = solutions[top]) -> float:
             return -read_height(solve(replace(near.problem, frequency=float(frequency)), start=near))
@@ -201,8 +196,6 @@ def turn_peak(problem: ContactProblem, quick: bool) -> dict:
         stepped.append([*fit_peak(near, heights), time.process_time() - begin])
     coarse, reference = stepped
     return {
-        "frequencies": grid,
-        "curves": curves,
         "reference": reference,
         "own_error": [abs(coarse[i] / reference[i] - 1) for i in range(2)],
         "rows": [[n, f, h, f / reference[0] - 1, h / reference[1] - 1, spent] for n, f, h, spent in rows],
@@ -214,16 +207,14 @@ def turn_wear(problem: ContactProblem, quick: bool) -> list[dict]:
     cycles, coefficient = (20 if quick else 100), 2e-12
     rows, exact = [], None
     for tolerance in (None, *JUMPS):
-        begin = time.process_time()
         jump = None if tolerance is None else Tolerance(share=tolerance)
-        history = evolve_wear(
-            replace(problem, harmonics=3), cycles, coefficient, jump, keep_every=cycles, progress=False
-        )
-        spent, depth = time.process_time() - begin, history.depth[-1]
+        posed, options = replace(problem, harmonics=3), {"keep_every": cycles, "progress": False}
+        history, spent = clock(partial(evolve_wear, posed, cycles, coefficient, jump, **options))
+        depth = history.depth[-1]
         exact = depth if exact is None else exact
         off = depth - exact
         row = {"tolerance": tolerance, "solves": history.solves, "seconds": spent}
-        row |= {"deepest": float(depth.max()), "largest": float(np.abs(off).max() / exact.max())}
+        row |= {"largest": float(np.abs(off).max() / exact.max())}
         rows.append(row | {"L2": float(np.linalg.norm(off) / np.linalg.norm(exact))})
     return rows
 
@@ -236,24 +227,20 @@ def adapt_harmonics(problem: ContactProblem, quick: bool) -> list[dict]:
     cases |= {case.name.split(", N")[0]: (pose_case(case), 31) for case in (lap, root)}
     rows = []
     for name, (posed, n) in cases.items():
-        begin = time.process_time()
-        full = solve(replace(posed, harmonics=n))
-        spent = time.process_time() - begin
+        full, spent = clock(partial(solve, replace(posed, harmonics=n)))
         rows.append({"case": name, "share": 0.0, "harmonics": len(full.orders), "unknowns": full.unknowns})
-        rows[-1] |= {"seconds": spent, "change": 0.0, "kept": list(full.orders)}
+        rows[-1] |= {"seconds": spent, "change": 0.0}
         for share in SHARES:
             kept = choose_harmonics(full, share)
-            begin = time.process_time()
-            fewer = solve(replace(posed, harmonics=kept, samples=full.problem.basis.samples))
-            spent = time.process_time() - begin
+            fewer, spent = clock(partial(solve, replace(posed, harmonics=kept, samples=full.problem.basis.samples)))
             change = compare_responses(measure_figures(fewer).output, measure_figures(full).output)
             rows.append({"case": name, "share": share, "harmonics": len(kept), "unknowns": fewer.unknowns})
-            rows[-1] |= {"seconds": spent, "change": change, "kept": list(kept)}
+            rows[-1] |= {"seconds": spent, "change": change}
     return rows
 
 
 def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
-    """Time of every stage of a run, first (with compilation, where nothing is cached) and again; memory of solves."""
+    """Wall time of every stage of a run, first (with compilation, where nothing is cached) and at best; memory."""
     scene, runs = load_scene(SCENE), []
     for _ in range(repeats):
         chain = build_chain(scene, MPI.COMM_SELF)
@@ -266,11 +253,8 @@ def time_stages(repeats: int, orders: tuple[int, ...]) -> dict:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         solves.append({"N": n, "unknowns": solution.unknowns, "peak_MB": peak / 1e6})
-    stages = {
-        k: [runs[0][k], median(r[k] for r in runs[1:]), min(r[k] for r in runs[1:]), max(r[k] for r in runs[1:])]
-        for k in runs[0]
-    }
-    return {"stages": stages, "memory": solves, "largest_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3}
+    stages = {k: [runs[0][k], min(r[k] for r in runs[1:])] for k in runs[0]}
+    return {"stages": stages, "memory": solves}
 
 
 def main() -> None:
@@ -281,7 +265,9 @@ def main() -> None:
         "--quick", action="store_true", help="few settings and coarse references: a trial of the script"
     )
     parser.add_argument("--highest", type=int, default=ORDERS[-1], help="highest N tried [63]")
-    parser.add_argument("--repeats", type=int, default=3, help="cold solves that take less than seconds [3]")
+    parser.add_argument(
+        "--repeats", type=int, default=3, help="cold solves of a setting, of which the median counts [3]"
+    )
     parser.add_argument("--output", type=Path, help="JSON file [benchmarks/results/accuracy_cost.json]")
     arguments = parser.parse_args()
     quick, content, begin = arguments.quick, {"machine": describe_machine()}, time.perf_counter()
@@ -294,7 +280,8 @@ def main() -> None:
         print(f"{content['seconds']:6.0f} s  {what}", flush=True)
 
     if arguments.only:
-        content |= json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
+        kept = json.loads((arguments.output or RESULTS / "accuracy_cost.json").read_text(encoding="utf-8"))
+        content = kept | content
     if arguments.only == "structure":
         return keep("structure", structure=turn_structure(quick))
     if arguments.only == "stages":
@@ -304,7 +291,7 @@ def main() -> None:
     problem = pose_problem(scene, chain.reduction.model, chain.interface)
     if arguments.only == "peak":
         return keep("peak", peak=turn_peak(problem, quick))
-    reference, own, _ = find_reference(problem, (100, 200) if quick else REFERENCE_STEPS)
+    reference, own = find_reference(problem, (100, 200) if quick else REFERENCE_STEPS)
     high = replace(problem, harmonics=9 if quick else HIGH_ORDER)
     agreement = compare_figures(measure_figures(solve(high)), reference)
     if arguments.only == "accuracies":
@@ -313,7 +300,7 @@ def main() -> None:
     found = {"own_error": own, "agreement": agreement, "high_order": high.harmonics}
     keep("reference", quick=quick, errors=ERRORS, frequency=problem.frequency, **found)
     settings = list_settings(problem, orders, fixed=5 if quick else 9)
-    zero = replace(problem, laws=ContactLaws(friction=0.2, static_friction="zero"))
+    zero = replace(problem, laws=replace(problem.laws, static_friction="zero"))
     settings += [
         Setting('N, static friction "zero"', n, replace(zero, harmonics=n)) for n in orders if n <= HIGHEST_VARIANT
     ]
@@ -338,9 +325,7 @@ def main() -> None:
     keep("stages", stages=time_stages(2 if quick else 3, (3, 5) if quick else (5, 9, 15)))
     keep("peak", peak=turn_peak(problem, quick))
     for title, table in (("Wear", content["wear"]), ("Adapted harmonics", content["adapted"])):
-        print_table(
-            title, [k for k in table[0] if k != "kept"], [[v for k, v in r.items() if k != "kept"] for r in table]
-        )
+        print_table(title, list(table[0]), [list(row.values()) for row in table])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Is an accuracy that is asked for kept, and what does not knowing the right settings cost?
 
-    .venv/bin/python benchmarks/accuracy_honesty.py              some thirty minutes on one core
-    .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/accuracy_honesty.py              some thirty minutes on one core
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/accuracy_honesty.py --quick      a minute: few cases
 
 Cases: the sample of `hard_cases.py` (default weights) on the two small models, masses that rub on a rigid wall, others
 that rub through stiff springs, the blade root as its demo and the studies load it, and the scenes of the gallery. Those

@@ -1,7 +1,7 @@
 """Our solver and a peer, pyHarm (harmonic balance with dynamic-Lagrangian contact), on the same matrices.
 
-    .venv/bin/python benchmarks/peers.py                       K_c = 1, 4, 10 pairs, two loads: some eight minutes
-    .venv/bin/python benchmarks/peers.py --pairs 4 --loads 0.06
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/peers.py            1, 4, 10 pairs, two loads: some eight minutes
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/peers.py --pairs 4 --loads 0.06
 
 Two trusses in a plane, pressed together and shaken: same matrices, law, harmonics, samples and frequencies, each point
 started from the one before, one thread and one sweep each. The lighter load slips, and lifts off near the resonance;

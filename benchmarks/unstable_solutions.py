@@ -1,6 +1,6 @@
 """Do motions in time leave the solutions that are called unstable, and no others? Hard cases, stepped from there.
 
-    .venv/bin/python benchmarks/unstable_solutions.py                  ten minutes
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/unstable_solutions.py                  ten minutes
 
 Cases: the sample of `hard_cases.py` with default weights, from five harmonics on, where some pair slips or lifts off;
 and as many of two blocks from a mesh, of which one jumps.

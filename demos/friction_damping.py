@@ -20,7 +20,7 @@ from study import AGREES, RESULTS, judge, report, timed
 from ewr_fenicsx import ContactLaws, frequency_response, load_scene, solve
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
-SCENE = Path(__file__).with_suffix(".toml")
+SCENE = Path(__file__).with_name("blade_root.toml")
 FRICTION = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 FREQUENCIES = np.concatenate([np.arange(500, 850, 50), np.arange(850, 1151, 12.5), np.arange(1200, 1501, 50)])  # Hz
 

@@ -20,7 +20,7 @@ from study import AGREES, RESULTS, judge, report, timed
 from ewr_fenicsx import Tolerance, evolve_wear, frequency_response, load_scene
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
-SCENE = Path(__file__).with_suffix(".toml")
+SCENE = Path(__file__).with_name("blade_root.toml")
 COEFFICIENT, CYCLES = 1e-11, 3000  # 1/Pa
 FRICTION = (0.2, 0.4, 0.6, 0.8, 1.0)
 NEAR_RESONANCE = (1000.0, 1075.0)  # Hz

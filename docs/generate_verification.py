@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from markdown_tables import write_table
 from verification_cases import NOTES, ROOT, SECTIONS, Case
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -40,13 +41,6 @@ BLADE_CASES = {
 BLADE_HEADER = ["closure", "N", "tip, %", "tip modulus, %", "tip rms, %", "gaps, %", "normal forces, %"]
 BLADE_HEADER += ["friction forces, %", "cone violation", "Newton steps", "time, s"]
 CLOSURES = ("dashpot", "spring")
-
-
-def write_table(header: list[str], rows: list[list[object]]) -> str:
-    """A Markdown table."""
-    show = lambda cell: "" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)  # noqa: E731
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    return "\n".join(lines + ["| " + " | ".join(map(show, row)) + " |" for row in rows])
 
 
 def measure_case(case: Case) -> list[list[object]]:
@@ -115,11 +109,6 @@ def read_results(name: str) -> dict | None:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
-def show_number(value: object) -> object:
-    """Three digits; nothing where there is no value."""
-    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else value
-
-
 def describe_peers(found: dict) -> list[str]:
     """The comparison with pyHarm as Markdown."""
     scaled = lambda value, factor=100: None if value is None else factor * value  # noqa: E731
@@ -139,7 +128,7 @@ harmonics and {found["cases"][0]["samples"]} samples in `{found["requirement"]}`
 comes and with its Jacobian mended; its best run of several penalties and solvers counts. "Ratio" is its time over ours,
 at the points that it solved; "apart" is the difference of the two answers; "from steady" that from time stepping.""",
         "",
-        write_table(header, [list(map(show_number, row)) for row in rows]),
+        write_table(header, rows),
         "",
         """The answers as harmonics are added: largest difference of the tip's first harmonic over a sweep. Where a pair
 never slips, its mean friction is free within limits and the laws have neighbouring steady states; each answer is
@@ -155,7 +144,7 @@ compared with the one that time stepping reaches from it.""",
                 "pyHarm's, %",
                 "steady states apart, %",
             ],
-            [list(map(show_number, row)) for row in answers],
+            answers,
         ),
     ]
 
@@ -179,7 +168,7 @@ themselves (N, closure and steps are still the oracle's):""",
             tell_ratios(found["summary"]),
         ),
         "",
-        write_table(list(found["summary"][0]), [list(map(show_number, row.values())) for row in found["summary"]]),
+        write_table(list(found["summary"][0]), [list(row.values()) for row in found["summary"]]),
     ]
 
 
@@ -192,7 +181,7 @@ def tell_ratios(summary: list[dict]) -> list[list[str]]:
         shortest = lambda keys: min((r[k] for r in here for k in keys if r[k]), default=None)  # noqa: B023, E731
         ours, theirs = shortest(["to 1e-8 s"]), shortest([f"own stop {start} s" for start in ("rest", "stick")])
         best.append(theirs / ours if ours and theirs else None)
-        rows.append(list(map(show_number, (*which, *best, here[0]["to reach"] if here else None))))
+        rows.append([*which, *best, here[0]["to reach"] if here else None])
     return rows
 
 
@@ -212,9 +201,9 @@ Newton's paths, each a right side and no factorisation: one Newton step serves u
 counts those answered with these, where nothing led to weights far off. A few cases of hundreds of steps decide the mean
 steps, and another sample has others: the "standard error" is how far means of such samples lie apart.""",
         "",
-        write_table(["by", "", *found["columns"]], [list(map(show_number, row)) for row in rows]),
+        write_table(["by", "", *found["columns"]], rows),
         "",
-        write_table(["degenerate case", "", "Newton steps", "s"], [list(map(show_number, row)) for row in named]),
+        write_table(["degenerate case", "", "Newton steps", "s"], named),
     ]
     motions = read_results("failures_in_time")
     if motions is None or not found["failures"]:
@@ -227,7 +216,7 @@ steps, and another sample has others: the "standard error" is how far means of s
 (`benchmarks/failures_in_time.py`), their motions turn out {told}. The table shows the relative change of the motion
 from one period to the next (median).""",
         "",
-        write_table(motions["header"], [list(map(show_number, row)) for row in motions["rows"]]),
+        write_table(motions["header"], motions["rows"]),
     ]
 
 
@@ -241,7 +230,7 @@ def describe_newton_cost(found: dict) -> list[str]:
 in one process (`benchmarks/newton_cost.py`): warm (from the solution 1 % away in frequency) and cold. Medians over 500
 to 1500 Hz.""",
         "",
-        write_table(header, [[show_number(row[key]) for key in keys] for row in found["medians"]]),
+        write_table(header, [[row[key] for key in keys] for row in found["medians"]]),
     ]
 
 
@@ -254,7 +243,49 @@ stick up through growing sets of harmonics, in turn in one process. Steps are me
 times their sum, without composing; "apart" is the largest difference of the tip's first harmonic; "iterations a step"
 how many of the splitting's take as long as a dense Newton step.""",
         "",
-        write_table(found["header"], [list(map(show_number, row)) for row in found["rows"]]),
+        write_table(found["header"], found["rows"]),
+    ]
+
+
+def describe_scaling(found: dict) -> list[str]:
+    """How a Newton step grows with pairs and harmonics as Markdown."""
+    keys = ["pairs", "harmonics", "unknowns", "compose_seconds", "step_seconds", "step_megabytes"]
+    keys += ["all_rows_seconds", "all_rows_megabytes"]
+    header = ["pairs", "N", "unknowns", "compose, s", "step, s", "step, MB", "all rows, s", "all rows, MB"]
+    series = found["series"]
+    rows = [[m[key] for key in keys] for name in ("pairs", "harmonics") for m in series[name]]
+    for name, symbol in (("pairs", "K"), ("harmonics", "N")):
+        powers = [found["exponents"][name].get(key) for key in keys[3:]]
+        rows.append([f"as a power of {symbol}", "", "", *("" if p is None else f"{p:.1f}" for p in powers)])
+    return [
+        """Blade root (`benchmarks/scaling.py`): composing a problem and one Newton step from full stick just below
+the resonance, where a quarter of the rows change status within the period; "all rows" is the same step with none
+eliminated, the worst that any state can cost. Powers are fitted over the upper half of a series.""",
+        "",
+        write_table(header, rows),
+    ]
+
+
+def describe_reduction(found: dict) -> list[str]:
+    """What a mesh costs before the first contact solve as Markdown."""
+    return [
+        """The gallery's dovetail with ever smaller elements and more pairs (`benchmarks/reduction.py`), each in a
+process of its own, wall times. n is the number of reduced coordinates; the bound of a reduction is one sparse
+factorisation, its least memory the basis.""",
+        "",
+        write_table(found["header"], found["table"]),
+    ]
+
+
+def describe_sweep(found: dict) -> list[str]:
+    """What a second rank buys as Markdown."""
+    rows = [[int(ranks), float(np.median(seconds))] for ranks, seconds in found["seconds"].items()]
+    return [
+        f"""Six frequency responses of the blade root, {found["points"]} points with five harmonics
+(`benchmarks/sweep.py`), wall time, the median of three: two ranks are {found["speed_up"]:.2f} times as fast
+as one, and their answers {found["difference"]:.0e} of the largest amplitude apart.""",
+        "",
+        write_table(["ranks", "s"], rows),
     ]
 
 
@@ -262,12 +293,15 @@ BENCHMARKS = {
     "Hard cases": ("hard_cases", describe_hard_cases),
     "Cold starts": ("cold_starts", describe_cold_starts),
     "What a solve costs": ("newton_cost", describe_newton_cost),
+    "How a step grows": ("scaling", describe_scaling),
+    "From a geometry to the reduced model": ("reduction", describe_reduction),
+    "A sweep on two ranks": ("sweep", describe_sweep),
     "Another code: pyHarm": ("peers", describe_peers),
     "Time to a given error: harmonic balance and time stepping": ("against_time_stepping", describe_times),
 }
 INTRODUCTION = """# Verification
 
-Written by `docs/generate_verification.py`; do not edit. Times are processor seconds on one core. The cases are those of
+Written by `docs/generate_verification.py`; do not edit. Times are processor seconds on one core, unless said. The cases are those of
 `tests/verification`, which assert the errors and the rates at which they fall; sources and derivations are in the
 tests' docstrings.
 """
@@ -283,7 +317,7 @@ def write_benchmarks() -> str:
     lines = []
     for title, (name, describe) in BENCHMARKS.items():
         found = read_results(name)
-        missing = [f"Not run here: `.venv/bin/python benchmarks/{name}.py`."]
+        missing = [f"Not run here: `OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/{name}.py`."]
         lines += [f"## {title}", "", *(missing if found is None else describe(found)), ""]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -294,12 +328,18 @@ def write_cases() -> str:
     for title, cases in SECTIONS.items():
         measure_case(cases[0])  # first calls load and compile things
         rows = [row for case in cases for row in measure_case(case)]
-        lines += [f"## {title}", "", *([NOTES[title], ""] if title in NOTES else []), write_table(HEADER, rows), ""]
+        lines += [
+            f"## {title}",
+            "",
+            *([NOTES[title], ""] if title in NOTES else []),
+            write_table(HEADER, rows, digits=6),
+            "",
+        ]
         print(lines[-2], flush=True)
     lines += [f"## {BLADE_TITLE}", "", BLADE_NOTE, ""]
     for name, setting in BLADE_CASES.items():
         state, rows = compare_blade_root(*setting)
-        lines += [f"### {name}", "", state, "", write_table(BLADE_HEADER, rows), ""]
+        lines += [f"### {name}", "", state, "", write_table(BLADE_HEADER, rows, digits=6), ""]
         print(name, state, lines[-2], sep="\n", flush=True)
     return "\n".join([*lines, ""])
 

@@ -1,6 +1,6 @@
 """Writes docs/studies.md and its pictures from what the demos of the paper's studies left in demos/results.
 
-    python tools/write_studies_page.py
+    .venv/bin/python docs/generate_studies.py
 
 Run the five demos first; numbers and verdicts are theirs.
 """
@@ -8,14 +8,12 @@ Run the five demos first; numbers and verdicts are theirs.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
-from matplotlib.image import imread, imsave
-
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, DOCS = ROOT / "demos" / "results", ROOT / "docs"
-WIDEST = 900  # pixels
 STUDIES = {
     "contact_sets": "Figure 4: does the truncated solution stay on the contact sets?",
     "normal_forces": "Figure 5: what does vibration do to the normal forces?",
@@ -35,7 +33,7 @@ mu is the coefficient of friction, N the highest harmonic, J_T the sliding dista
 over the pairs; all are defined in [method.md](method.md#figures-of-merit-solutionpy-indicatorspy). Flanks are named as
 in the picture at the top of the [README](../README.md). "Figures" below a table unfolds all numbers.
 
-Written by `tools/write_studies_page.py` from the demos' results; do not edit.
+Written by `docs/generate_studies.py` from the demos' results; do not edit.
 """
 
 
@@ -47,10 +45,8 @@ def main() -> int:
     parts = [INTRODUCTION]
     for name, title in STUDIES.items():
         content = json.loads((RESULTS / name / f"{name}.json").read_text(encoding="utf-8"))
-        picture = imread(RESULTS / name / f"{name}.png")
-        step = -(-picture.shape[1] // WIDEST)
-        imsave(DOCS / "pictures" / f"{name}.png", picture[::step, ::step])
-        parts.append(f"## {title}\n\n`demos/{name}.py`, `demos/{name}.toml`\n\n![{title}](pictures/{name}.png)\n")
+        shutil.copyfile(RESULTS / name / f"{name}.png", DOCS / "pictures" / f"{name}.png")
+        parts.append(f"## {title}\n\n`demos/{name}.py`\n\n![{title}](pictures/{name}.png)\n")
         parts.append("| The paper | Ours | Because |\n|---|---|---|")
         parts += [f"| {v['statement']} | {v['verdict']} | {v['because']} |" for v in content["verdicts"]]
         parts.append("\n<details><summary>Figures</summary>\n\n| figure | value |\n|---|---|")
