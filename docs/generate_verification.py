@@ -301,9 +301,9 @@ BENCHMARKS = {
 }
 INTRODUCTION = """# Verification
 
-Written by `docs/generate_verification.py`; do not edit. Times are processor seconds on one core, unless said. The cases are those of
-`tests/verification`, which assert the errors and the rates at which they fall; sources and derivations are in the
-tests' docstrings.
+Written by `docs/generate_verification.py`; do not edit. Times are processor seconds on one core, unless said. The cases
+are those of `tests/verification`, which assert the errors and the rates at which they fall; sources and derivations are
+in the tests' docstrings.
 """
 BLADE_NOTE = """Harmonic solutions from cold with default settings, and with springs in place of the default's dashpots
 for the harmonics left out ([method.md](method.md)), against the steady state of `integrate`, whose contact laws are

@@ -16,7 +16,7 @@ from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, LOADS, ACCURACY, TRANSIENT = re.findall(
+SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
 
@@ -65,6 +65,16 @@ def test_elements_behind_springs_move_as_in_time(capsys):
     steady = integrate(solution.problem, "rest", 3200, 200, tolerance=1e-7)
     assert steady.converged
     assert abs(solution.output("x")[1] - steady.output("x")[1]) < 0.01 * abs(steady.output("x")[1])
+
+
+def test_up_and_down_find_two_motions(capsys):
+    """The stiffening stop bends the peak to higher frequencies; beside the fold both sweeps find the same."""
+    names: dict = {}
+    exec(compile(DOWN, "docs/how_to.md", "exec"), names)
+    both, size = names["both"], names["size"]
+    assert "two motions at" in capsys.readouterr().out and len(both) > 3 and np.all(np.diff(both) == 1.0)
+    for beside in (both[0] - 2, both[-1] + 2):
+        assert size["up", beside] == pytest.approx(size["down", beside], rel=1e-5)
 
 
 def test_matrices_of_another_code_give_the_motion_of_the_scene(exported, blocks, capsys):
