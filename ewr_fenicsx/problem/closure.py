@@ -21,7 +21,7 @@ Closure = Literal["mass", "dashpot", "spring"]
 ALIKE, ALONE = 2.0, 0.05
 # Multiples of the highest harmonic, so many of which in a row tell a spring; and the least share of the static
 # flexibility: behind stiffer springs the mass of what they hold closes the truncation better
-FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 7), 3, 3e-4
+FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 9), 4, 3e-4
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
