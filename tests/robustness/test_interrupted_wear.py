@@ -20,8 +20,8 @@ from small_models import dovetail
 file, jumps = sys.argv[1], sys.argv[2] == "jumps"
 problem = ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 600.0)
 jump = Tolerance(share=1e-4) if jumps else None
-history = evolve_wear(problem, 400, 1e-10, jump, keep_every=3, file=file, checkpoint_every=4)
-assert history.cycles[-1] == 400
+history = evolve_wear(problem, 120, 1e-10, jump, keep_every=3, file=file, checkpoint_every=4)
+assert history.cycles[-1] == 120
 """
 
 
