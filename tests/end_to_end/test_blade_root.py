@@ -15,6 +15,7 @@ import meshio
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
+from small_scenes import write_blocks
 
 from ewr_fenicsx import ReducedModel, load_scene, solve
 from ewr_fenicsx.accuracy.estimates import measure_distance
@@ -258,18 +259,16 @@ def read_picture(path: Path) -> np.ndarray:
     return imread(path)
 
 
-def test_overwrite_replaces_an_earlier_run(run):
-    before = (run[1] / "summary.json").stat().st_ino
-    done = run_ewr("run", SCENE, "--out", run[1], "--overwrite")
-    assert done.returncode == 0, done.stderr
-    assert (run[1] / "summary.json").stat().st_ino != before
-
-
-def test_petsc_options_reach_the_newton_solver(tmp_path):
-    """Those that nothing takes are named, where PETSc passes them over."""
+def test_overwrite_replaces_an_earlier_run_and_petsc_options_reach_the_newton_solver(tmp_path):
+    """Options that nothing takes are named, where PETSc passes them over."""
+    scene, results = tmp_path / "scene.toml", tmp_path / "results"
+    scene.write_text(write_blocks())
+    assert main(["run", str(scene), "--out", str(results)]) == 0
+    before = (results / "summary.json").stat().st_ino
     given = ("-ewr_snes_monitor", "-ewr_snes_monitr", "-ksp_view")
-    done = run_ewr("run", SCENE, "--out", tmp_path / "results", *given)
+    done = run_ewr("run", scene, "--out", results, "--overwrite", *given)
     assert done.returncode == 0, done.stderr
+    assert (results / "summary.json").stat().st_ino != before
     assert "0 SNES Function norm" in done.stdout
     told = [line for line in done.stderr.splitlines() if line.startswith("ewr: ")]
     assert told == [
