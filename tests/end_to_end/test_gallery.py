@@ -135,8 +135,11 @@ def test_platform_damper(run):
         "without": replace(problem.laws, tangential="frictionless"),
         "stuck": replace(problem.laws, normal="bonded", tangential="bonded"),
     }
-    peaks = {
-        name: max(solve(replace(problem, laws=law, frequency=f)).merit["rms_tip"] for f in scene.frequencies)
+    peaks = {  # the blades alone are costly to solve: of some points, whose peak is no higher than that of all
+        name: max(
+            solve(replace(problem, laws=law, frequency=f)).merit["rms_tip"]
+            for f in scene.frequencies[:: 3 if name == "without" else 1]
+        )
         for name, law in laws.items()
     }
     damped = max(column(read_table(folder / "frequency_response.csv"), "rms_tip"))
