@@ -68,8 +68,8 @@ def test_friction_damping(run_study):
 
 
 def test_fretting_wear_in_short(run_study, tmp_path):
-    figures = run_study("fretting_wear", cycles=50, friction=(0.4,))
-    assert figures["every cycle: solves"] == 51
+    figures = run_study("fretting_wear", cycles=15, friction=(0.4,))
+    assert figures["every cycle: solves"] == 16
     assert (tmp_path / "fields" / "worn_gap.xdmf").exists()
     assert (tmp_path / "fretting_wear.csv").read_text().startswith("cycles,")
 
@@ -83,7 +83,7 @@ def test_fretting_wear(run_study):
 
 def test_wear_and_response_in_short(run_study):
     few = {"friction": (0.2, 0.6), "frequencies": (500.0, 1000.0, 1500.0), "sweep": np.array([1000.0, 1050.0])}
-    figures = run_study("wear_and_response", cycles=20, **few)
+    figures = run_study("wear_and_response", cycles=5, **few)
     little = figures["1000 Hz, mu = 0.6"]["J_T_um"]
     assert 0.004 < little[0] < 0.007 and round(little[0], 5) != round(little[0], 3), "digits enough for its change"
 
