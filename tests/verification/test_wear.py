@@ -361,11 +361,14 @@ _ACCURATE = 2.0  # accuracies that the worn depth may be off: one by the jumps, 
 
 @pytest.mark.parametrize("accuracy", [0.1, 0.03])
 def test_wear_is_as_accurate_as_asked(accuracy):
-    """Against thirty harmonics and jumps a hundred times finer. Here the outputs say nothing of wear."""
+    """Against 21 harmonics and finer jumps, which thirty and jumps ten times finer still change by 0.24 %.
+
+    Here the outputs say nothing of wear.
+    """
     problem = dovetail_problem()
     if "truth" not in _history:
         _history["truth"] = evolve_wear(
-            replace(problem, harmonics=30), 400, WEAR_OF_DOVETAIL, Tolerance(share=1e-3), keep_every=400
+            replace(problem, harmonics=21), 400, WEAR_OF_DOVETAIL, Tolerance(share=1e-2), keep_every=400
         )
     true = _history["truth"].depth[-1]
     asked = evolve_wear(problem, 400, WEAR_OF_DOVETAIL, Tolerance(share=accuracy), keep_every=20, accuracy=accuracy)
