@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from balance_points import FREQUENCY, LAWS, SPRINGS, STATES, Point, combine_with, prepare
-from small_models import dovetail, lift_off_oscillator, random_structure
+from small_models import dovetail, lift_off_oscillator, random_structure, repeat_first_pair
 
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -373,13 +373,7 @@ def test_scaled_unknowns_know_no_unit_of_force(factor):
 
 def test_redundant_pairs_stay_solvable():
     """The same pair twice: forces are not unique, but the Newton step exists and solves the linearised balance."""
-    model = lift_off_oscillator()
-    twice = replace(
-        model,
-        normal=np.repeat(model.normal, 2, axis=0),
-        tangential=np.repeat(model.tangential, 2, axis=0),
-        pair_area=None,
-    )
+    twice = repeat_first_pair(lift_off_oscillator())
     balance = HarmonicBalance(ContactProblem(twice, ContactLaws(), 0.1, 3).system)
     x = balance.pack(*balance.full_stick)
     step = balance.linearise(x)
