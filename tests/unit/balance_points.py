@@ -43,10 +43,14 @@ SPRUNG = ("unilateral coulomb", "bonded coulomb, mean zero", "varying coulomb", 
 LAWS |= {name + SPRINGS: LAWS[name] for name in SPRUNG}
 
 
-def combine_with(*harmonics) -> list[tuple]:
-    """Law combinations with sets of harmonics; a prescribed mean force and contact that opens need the mean."""
+def combine_with(harmonics: int, *others: object) -> list[tuple]:
+    """Law combinations with ``harmonics`` in every state, and with other sets of harmonics in the mixed one.
+
+    A prescribed mean force and contact that opens need the mean.
+    """
     without_mean = ("bonded coulomb", "bonded coulomb, mean zero", "bonded coulomb, mean zero, springs")
-    return [(k, h) for k in LAWS for h in harmonics if h != (1, 3, 5) or k in without_mean]
+    mixed = [(kind, h, "mixed") for kind in LAWS for h in others if h != (1, 3, 5) or kind in without_mean]
+    return [(kind, harmonics, state) for kind in LAWS for state in STATES] + mixed
 
 
 @dataclass(frozen=True)
