@@ -5,20 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from small_models import friction_oscillator, lift_off_oscillator
+from test_frequency_response import LAWS, sweep
 
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.response import frequency_sweep
 from ewr_fenicsx.runs import findings
 from ewr_fenicsx.solver import weights
-
-LAWS = ContactLaws(friction=0.3)
-FREQUENCIES = np.linspace(0.08, 0.4, 9)
-
-
-def sweep(frequencies=FREQUENCIES, laws=LAWS, **settings):
-    model = lift_off_oscillator(excitation=0.6, damping=0.1)
-    return frequency_response(model, laws, frequencies, harmonics=5, progress=False, **settings)
 
 
 def use_default_weights_below(frequency, monkeypatch):
