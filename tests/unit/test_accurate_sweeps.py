@@ -20,18 +20,29 @@ from ewr_fenicsx.response.following import LARGEST_SURPRISE, Jump
 from ewr_fenicsx.response.refining import CLOSE, join_points, leave_out_close, measure_gap, refine_point
 from ewr_fenicsx.response.solution_store import read_records, restore
 
+ACCURACY = 0.02
 
-def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked():
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Of the results of ``curve``."""
+    return tmp_path_factory.mktemp("curve")
+
+
+@pytest.fixture(scope="module")
+def curve(folder):
+    return sweep(accuracy=ACCURACY, folder=folder)
+
+
+def test_every_point_of_an_accurate_sweep_is_as_accurate_as_asked(curve):
     """Against a sweep with many harmonics, and against single solves to the same accuracy, from cold."""
-    accuracy = 0.02
-    curve = sweep(accuracy=accuracy)
     model = curve.solutions[0].problem.model
     truth = frequency_response(model, LAWS, FREQUENCIES, 60, progress=False)
     for found, true in zip(curve.accurate, truth.solutions, strict=True):
-        assert found.reached and found.estimate.total <= accuracy
-        assert measure_distance(found.solution, true) <= accuracy
-        single = solve_to_accuracy(ContactProblem(model, LAWS, true.problem.frequency), accuracy)
-        assert measure_distance(found.solution, single.solution) <= 2 * accuracy
+        assert found.reached and found.estimate.total <= ACCURACY
+        assert measure_distance(found.solution, true) <= ACCURACY
+        single = solve_to_accuracy(ContactProblem(model, LAWS, true.problem.frequency), ACCURACY)
+        assert measure_distance(found.solution, single.solution) <= 2 * ACCURACY
     tops = [s.orders[-1] for s in curve.solutions]
     assert len(set(tops)) > 1, "harmonics are chosen at each frequency"
     assert [found.solution for found in curve.accurate] == list(curve.solutions)
@@ -78,10 +89,10 @@ def test_an_interrupted_accurate_sweep_goes_on_from_the_points_on_disk(tmp_path,
         sweep(laws=family, accuracy=0.1, folder=tmp_path)
 
 
-def test_a_finer_sweep_gives_the_same_curve():
-    coarse, fine = sweep(accuracy=0.02), sweep(np.linspace(0.08, 0.4, 17), accuracy=0.02)
-    for here, there in zip(coarse.accurate, fine.accurate[::2], strict=True):
-        assert measure_distance(here.solution, there.solution) <= 0.04
+def test_a_finer_sweep_gives_the_same_curve(curve):
+    fine = sweep(np.linspace(0.08, 0.4, 17), accuracy=ACCURACY)
+    for here, there in zip(curve.accurate, fine.accurate[::2], strict=True):
+        assert measure_distance(here.solution, there.solution) <= 2 * ACCURACY
 
 
 def test_points_that_are_not_as_accurate_as_asked_say_why():
@@ -186,10 +197,9 @@ def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
         assert curve.jumps == (jump,)
 
 
-def test_accurate_curves_are_kept_in_files(tmp_path):
+def test_accurate_curves_are_kept_in_files(curve, folder):
     """Forces of solutions with different harmonics in one array; each has its own rows."""
-    curve = sweep(accuracy=0.02, folder=tmp_path)
-    with h5py.File(tmp_path / "frequency_response.h5") as file:
+    with h5py.File(folder / "frequency_response.h5") as file:
         records = read_records(file["curve_0"])
         np.testing.assert_array_equal(file["curve_0/table/estimate"][()], curve.table()["estimate"])
     assert len({len(record.forces) for record in records}) > 1
@@ -199,25 +209,20 @@ def test_accurate_curves_are_kept_in_files(tmp_path):
         assert back.orders == solution.orders
         np.testing.assert_array_equal(back.output("tip"), solution.output("tip"))
         assert np.linalg.norm(HarmonicBalance(back.problem.system).residual(pack(back))) < 1e-8
-    with (tmp_path / "frequency_response.csv").open() as file:
+    with (folder / "frequency_response.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["highest_harmonic"]) for row in rows] == [s.orders[-1] for s in curve.solutions]
 
 
-def test_a_point_without_any_solution_on_the_model_is_missing(monkeypatch):
+def test_a_point_without_any_solution_on_the_model_is_missing(curve, monkeypatch):
     """With more modes than the curve that it comes from had, not even its own harmonics may lead to one."""
-    refine_one, lost = refining.refine_point, FREQUENCIES[3]
-
-    def fail_there(problem, *arguments):
-        found = refine_one(problem, *arguments)
-        there = problem.frequency == lost
-        return replace(found, solution=replace(found.solution, converged=False)) if there else found
-
-    monkeypatch.setattr(refining, "refine_point", fail_there)
-    curve = sweep(accuracy=0.02)
-    assert curve.missing == (lost,) and lost not in curve.frequencies
-    assert len(curve.solutions) == len(FREQUENCIES) - 1 == len(curve.accurate)
-    assert all(s.converged for s in curve.solutions)
+    refined, lost = dict(zip(curve.frequencies, curve.accurate, strict=True)), FREQUENCIES[3]
+    refined[lost] = replace(refined[lost], solution=replace(refined[lost].solution, converged=False))
+    monkeypatch.setattr(refining, "refine_point", lambda problem, *_: refined[problem.frequency])
+    left = sweep(accuracy=ACCURACY)
+    assert left.missing == (lost,) and lost not in left.frequencies
+    assert len(left.solutions) == len(FREQUENCIES) - 1 == len(left.accurate)
+    assert all(s.converged for s in left.solutions)
 
 
 def pack(solution):
