@@ -49,6 +49,9 @@ def test_an_accuracy_is_reached_and_told(tmp_path, capsys):
     assert "of 0.1 asked (harmonics" in told
     assert "modes" in told, "the chain knows which coordinates are modes"
     assert "NOT as accurate" not in told
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text())["accuracy"]
+    assert facts["asked"] == 0.1 and facts["reached"] is True and facts["limit"] == ""
+    assert 0 < facts["estimate"]["total"] <= 0.1 and facts["estimate"]["modes"] > 0
 
 
 @pytest.mark.parametrize(

@@ -221,16 +221,22 @@ def test_a_law_of_one_s_own_is_not_held_against_coulomb_s_set(scene, panels, tmp
     assert [axes.get_xlabel() for axes in drawn] == panels
 
 
-def test_pictures_of_a_worn_joint_say_so(tmp_path, monkeypatch):
-    """They are those of the last cycle, unlike the ones of the same scene without wear."""
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory):
+    """Two cycles of wear of the dovetail."""
+    scene = tmp_path_factory.mktemp("worn") / "scene.toml"
     text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
-    (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
-    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
+    scene.write_text(text.replace("cycles = 2000", "cycles = 2"))
+    return run_study(build_chain(load_scene(scene)))
+
+
+def test_pictures_of_a_worn_joint_say_so(worn, tmp_path, monkeypatch):
+    """They are those of the last cycle, unlike the ones of the same scene without wear."""
     titles = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: titles.append(figure._suptitle.get_text()))
     for draw in (plots.draw_histories, plots.draw_contact_sets):
-        draw(tmp_path / "picture.png", study.chain.interface, study.solution)
-    top, depth = study.solution.orders[-1], study.solution.problem.wear.max()
+        draw(tmp_path / "picture.png", worn.chain.interface, worn.solution)
+    top, depth = worn.solution.orders[-1], worn.solution.problem.wear.max()
     assert set(titles) == {f"1400 Hz, harmonics 0 to {top}, worn by up to {1e6 * depth:.3g} µm"}
 
 
@@ -288,17 +294,14 @@ def test_curves_that_coincide_are_one_under_both_names(monkeypatch, tmp_path):
     assert told == ["left\n= right", "deepest"]
 
 
-def test_wear_is_drawn_by_its_mean_and_its_deepest(tmp_path, monkeypatch):
-    text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
-    (tmp_path / "scene.toml").write_text(text.replace("cycles = 2000", "cycles = 2"))
+def test_wear_is_drawn_by_its_mean_and_its_deepest(worn, tmp_path, monkeypatch):
     shown = {}
     monkeypatch.setattr(plots, "draw_curves", lambda path, across, x, series: shown.update(series))
-    study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
-    study.write(tmp_path)
+    worn.write(tmp_path)
     assert list(shown) == ["mean depth of left [µm]", "mean depth of right [µm]", "deepest pair [µm]"]
-    depth = 1e6 * study.solution.problem.wear
+    depth = 1e6 * worn.solution.problem.wear
     assert shown["deepest pair [µm]"][-1] == pytest.approx(depth.max())
-    left = study.chain.interface.flank_of_pair == 0
-    mean = np.average(depth[left], weights=study.chain.interface.area[left])
+    left = worn.chain.interface.flank_of_pair == 0
+    mean = np.average(depth[left], weights=worn.chain.interface.area[left])
     assert shown["mean depth of left [µm]"][-1] == pytest.approx(mean), "end pairs have half the area of the others"
     assert shown["mean depth of left [µm]"][-1] < shown["deepest pair [µm]"][-1]

@@ -277,15 +277,6 @@ def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):
     assert last >= turns[1] and dashed[0] == list(frequency[first - 1 : last + 1])
 
 
-def test_a_summary_says_how_accurate_the_outputs_are(run, tmp_path):
-    (tmp_path / "scene.toml").write_text(write_blocks(shake=150.0, solver="accuracy = 0.02"))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["accuracy"]
-    assert facts["asked"] == 0.02 and facts["reached"] is True and facts["limit"] == ""
-    assert 0 < facts["estimate"]["total"] <= 0.02 and facts["estimate"]["modes"] > 0
-    assert "accuracy" not in run()[0], "none was asked for"
-
-
 def test_a_bonded_scene_loads_and_runs_nothing_that_it_does_not_call_for(tmp_path):
     """Through files: no sweep, no wear, no ladder that climbs, no SNES."""
     (tmp_path / "scene.toml").write_text(write_blocks("[contact]\nnormal = 'bonded'\ntangential = 'bonded'"))

@@ -27,10 +27,6 @@ def run_magnified(folder: Path, factor: float) -> list[str]:
     return json.loads((folder / "results" / "blocks" / "summary.json").read_text())["doubts_of_small_motion"]
 
 
-def test_the_scene_as_it_is_moves_little(tmp_path):
-    assert run_magnified(tmp_path, 1.0) == []
-
-
 def test_sliding_past_the_next_node_and_moving_by_a_thickness_are_told(tmp_path, capsys):
     """Loads magnify motions in proportion: the factors at which each is first said bracket what is measured."""
     (tmp_path / "below").mkdir()
