@@ -1,4 +1,4 @@
-"""What every test needs: thread counts, quiet loggers, reproducible hypothesis runs, and `mpirun`."""
+"""What every test needs: thread counts, quiet loggers, reproducible hypothesis runs, `mpirun`; and `benchmarks/`."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ for _name in ("FFCx", "ffcx", "UFL", "matplotlib", "numba"):
     logging.getLogger(_name).setLevel(logging.WARNING)
 # setuptools raises the root logger to INFO and reports the compiler's command lines on it: a level would not hold.
 logging.getLogger().addFilter(lambda record: record.levelno > logging.INFO)
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 # Taken before any MPI_Init in this process, which leaves variables in the C environment that break a nested mpirun.
 _ENVIRONMENT = dict(os.environ)

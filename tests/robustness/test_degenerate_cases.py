@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from degenerate_cases import DEGENERATE, press_one_pair, shake_dovetail
+from hard_cases import TOLERANCE, run_case
 
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.elimination import REDUNDANCY
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from degenerate_cases import DEGENERATE, press_one_pair, shake_dovetail
-from hard_cases import TOLERANCE, run_case
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
 

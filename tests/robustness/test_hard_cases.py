@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
+import hard_cases
 import numpy as np
 import pytest
+from hard_cases import draw_cases, run_sampled
+from models import blade_root
+from reporting import RESULTS
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -19,13 +21,6 @@ from ewr_fenicsx.response.solution_store import restore, strip
 from ewr_fenicsx.solver import growing_load, ladder, newton, newton_path, snes, time_integration, weights
 from ewr_fenicsx.solver.growing_sets import sample_anew
 from ewr_fenicsx.solver.snes import Attempt
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import hard_cases
-from hard_cases import draw_cases, run_sampled
-from models import blade_root
-from reporting import RESULTS
 
 
 def run_sample(

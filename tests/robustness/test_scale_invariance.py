@@ -6,18 +6,13 @@ number in the code that has a unit. (tests/unit/test_newton.py has millimetres a
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from hard_cases import DEGENERATE, draw_cases, pose_case
 
 from ewr_fenicsx import ContactProblem, solve
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from hard_cases import DEGENERATE, draw_cases, pose_case
 
 # length, mass and time in new units, over those in old ones: about mm, t, s; mm, kg, ms; and something silly
 UNITS = {"mm, t, s": (1024.0, 1 / 1024, 1.0), "mm, kg, ms": (1024.0, 1.0, 1024.0), "silly": (4.0**-9, 4.0**6, 4.0**4)}

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from hard_cases import Case, pose_case
 from small_models import dovetail, friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
@@ -29,10 +28,6 @@ from ewr_fenicsx.accuracy.estimates import (
 from ewr_fenicsx.accuracy.looking_ahead import raise_harmonics, take_step
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.problem.dashpots import match_mobility, read_friction_weight
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from hard_cases import Case, pose_case
 
 FREQUENCY = 0.7 / (2 * np.pi)
 

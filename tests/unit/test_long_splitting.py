@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import hard_cases
 import numpy as np
 import pytest
 from small_models import PROBLEMS
@@ -17,10 +16,6 @@ from ewr_fenicsx.solver.long_splitting import COARSE_GOAL, LONG, split_at_length
 from ewr_fenicsx.solver.snes import run_newton
 from ewr_fenicsx.solver.splitting import Splitting, settle
 from ewr_fenicsx.solver.time_integration import integrate
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import hard_cases
 
 
 def pose_bouncing():

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import hard_cases
 import numpy as np
 import pytest
 from small_models import dovetail
@@ -23,10 +22,6 @@ from ewr_fenicsx.solver import newton_path
 from ewr_fenicsx.solver.growing_load import load_by_share
 from ewr_fenicsx.solver.newton_path import SHORT, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
 from ewr_fenicsx.solver.snes import run_newton
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import hard_cases
 
 LAWS = {
     "contact": ContactLaws(tangential="frictionless"),

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from models import find_first_mode, two_trusses
 from small_models import PROBLEMS, dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, solve
@@ -18,10 +17,6 @@ from ewr_fenicsx.response import following
 from ewr_fenicsx.solver import growing_sets, snes, splitting, warm_starts
 from ewr_fenicsx.solver.snes import run_newton
 from ewr_fenicsx.solver.warm_starts import carry_over, list_starts
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from models import find_first_mode, two_trusses
 
 SLIPS, LIFTS_OFF = PROBLEMS["floating, slip"], PROBLEMS["lift-off"]
 

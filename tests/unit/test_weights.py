@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import hard_cases
 import numpy as np
 import pytest
 
@@ -13,10 +11,6 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.solver import ladder, newton_path, weights
 from ewr_fenicsx.solver.continuation import BranchPoint
 from ewr_fenicsx.solver.snes import Attempt
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import hard_cases
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,6 @@ from ewr_fenicsx.model import compliance
 from ewr_fenicsx.solution.contact_state import OPEN, SLIP, classify_contact
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
 from effects import (  # noqa: E402
     ALL,
     BONDED,

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effects import count_calls
 from law_checks import check_rounded_corners
 from small_models import friction_oscillator, random_structure
 from test_jenkins import AMPLITUDES, LIMIT, SPRING, SUPPORT, drive, exact_force, exact_stiffness, exact_work
@@ -32,10 +33,6 @@ from ewr_fenicsx.problem.dashpots import read_weight
 from ewr_fenicsx.problem.layout import hold
 from ewr_fenicsx.solution.contact_state import SLIP, STICK, classify_contact, list_histories
 from ewr_fenicsx.solution.solution import PeriodicSolution
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from effects import count_calls
 
 RECIPE = Path(__file__).parents[2] / "docs" / "adding_a_law.md"
 

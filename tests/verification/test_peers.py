@@ -9,15 +9,9 @@ Source: pyHarm 1.2.2 (PyPI `pyHarm-os`), dynamic-Lagrangian contact.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
 import peers
+import pytest
 
 needs_peer = pytest.mark.skipif(
     peers.find_environment() is None, reason="pyHarm is not installed in build/peers; benchmarks/peers.py does it"
