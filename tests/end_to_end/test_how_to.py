@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from sparse_matrices import to_scipy
 
 from ewr_fenicsx import integrate, load_scene, solve
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
@@ -19,11 +20,6 @@ PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
 SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
-
-
-def to_scipy(matrix):
-    rows, columns, values = matrix.getValuesCSR()
-    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from small_models import dovetail
-from test_floquet import FRICTIONLESS, gyroscope, step_masses, two_masses
+from test_floquet import FRICTIONLESS, gyroscope, rate_of_gyroscope, step_masses, two_masses
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.in_time import floquet
@@ -61,9 +61,7 @@ def sort_pairs(multipliers: np.ndarray) -> np.ndarray:
 def test_stepping_converges_to_exponentials_at_second_order():
     model = gyroscope(np.array([[0.3, 1.6], [-1.6, -0.32]]))
     found = solve(ContactProblem(model, FRICTIONLESS, 0.11, 9))
-    zero, one = np.zeros((2, 2)), np.eye(2)
-    state = np.block([[zero, one], [-model.stiffness[:2, :2], -model.damping[:2, :2]]])
-    exact = sort_pairs(np.exp(np.linalg.eigvals(state) / 0.11))
+    exact = sort_pairs(np.exp(np.linalg.eigvals(rate_of_gyroscope(model)) / 0.11))
     errors = []
     for samples in (512, 1024, 2048):
         stepped = sort_pairs(np.linalg.eigvals(step_deviations(*differentiate(found, samples)).matrix))

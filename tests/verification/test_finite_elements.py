@@ -14,6 +14,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
+from sparse_matrices import to_scipy
 
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
@@ -31,11 +32,6 @@ LENGTH, HEIGHT = 0.1, 0.01
 def assemble(source, parameters=None, material=TITANIUM, **options):
     mesh = build_mesh(source, parameters or {}, MPI.COMM_WORLD)
     return assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, material), **options)
-
-
-def to_scipy(matrix):
-    rows, columns, values = matrix.getValuesCSR()
-    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
 
 
 def timoshenko_cantilever(material: Material, length: float, height: float, count: int) -> np.ndarray:

@@ -15,6 +15,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
+from sparse_matrices import to_scipy
 
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
@@ -41,11 +42,6 @@ def assemble(source, parameters=None, pull=1000.0, **options):
         **options,
     )
     return structure, pair_interface(structure)
-
-
-def to_scipy(matrix):
-    rows, columns, values = matrix.getValuesCSR()
-    return scipy.sparse.csr_matrix((values, columns, rows), shape=matrix.getSize())
 
 
 def full_matrices(structure, interface):

@@ -13,6 +13,7 @@ import pytest
 from counted_calls import count_calls
 from small_models import dovetail, winkler_punch
 from wear_pairs import measure_volumes
+from worn_punch import AREA, LOAD, PAIRS, SHARP, STIFFNESS, SWING, punch
 
 from ewr_fenicsx import (
     ContactLaws,
@@ -32,17 +33,10 @@ from ewr_fenicsx.solution.contact_state import STICK, classify_contact
 from ewr_fenicsx.wear import cycle_jumps
 from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 
-LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 MEAN_PRESSURE = LOAD / (PAIRS * AREA)
 COEFFICIENT = 1e-11
 DECAY = 4 * COEFFICIENT * STIFFNESS * SWING  # 2e-4 a cycle
 CROWN = 1e-7 * np.array([4.0, 1.0, 0.0, 1.0, 4.0])  # initial gap of a rounded punch [m]
-SHARP = 1e-5  # of |v| over a cycle by 1024 samples, relative
-
-
-def punch(gap=0.0) -> ContactProblem:
-    model = winkler_punch(load=LOAD, swing=SWING, stiffness=STIFFNESS, pairs=PAIRS, area=AREA)
-    return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 100.0, harmonics=1)
 
 
 def pressures(history) -> np.ndarray:
@@ -346,7 +340,7 @@ def test_wear_goes_on_from_a_worn_joint():
 @pytest.mark.slow
 def test_worn_volume_does_not_depend_on_the_number_of_pairs():
     """10 and 20 pairs a flank of the blade root, the mesh elsewhere as it is; wear_pairs.py has the table with 40."""
-def test_worn_volume_does_not_depend_on_the_number_of_pairs():
+    coarse, fine = measure_volumes(300, pairs=(10, 20))
     assert coarse["volume"] == pytest.approx(fine["volume"], rel=0.01)
     assert coarse["first_cycle"] == pytest.approx(coarse["integral"], rel=1e-4)
     assert fine["first_cycle"] == pytest.approx(fine["integral"], rel=1e-4)

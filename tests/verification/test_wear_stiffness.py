@@ -9,21 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import lift_off_oscillator, winkler_punch
+from small_models import lift_off_oscillator
+from worn_punch import AREA, LOAD, PAIRS, SHARP, STIFFNESS, SWING, punch
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve
 from ewr_fenicsx.solution.contact_state import OPEN, classify_contact
 from ewr_fenicsx.wear.archard import SAMPLES, find_explicit_limit, find_wear_stiffness
 
-LOAD, SWING, STIFFNESS, PAIRS, AREA = 200.0, 5e-6, 1e12, 5, 2e-5
 STEEP = 4e-7  # wear coefficient [1/Pa] by which a cycle wears several times the pressure away
 DECAY = 4 * STEEP * STIFFNESS * SWING  # of a pair's pressure a cycle, where all else stays
-SHARP = 1e-5  # of |v| over a cycle by 1024 samples, relative
-
-
-def punch(gap=0.0) -> ContactProblem:
-    model = winkler_punch(load=LOAD, swing=SWING, stiffness=STIFFNESS, pairs=PAIRS, area=AREA)
-    return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 100.0, harmonics=1)
 
 
 def test_a_pair_beside_others_that_do_not_wear_hands_its_load_to_them_and_wears_no_deeper():
