@@ -1,4 +1,4 @@
-"""The smallest scenes, as the text that a user would write: one that can be read, and one that runs."""
+"""Scenes as the text that a user would write: one that can be read, one that runs, and the demos'."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ AT = "[excitation]\nfrequency = 1000\n"
 SCENE = HEAD + PULL + SHAKE + AT
 
 BLOCKS = Path(__file__).parent / "geometry" / "two_blocks.py"
+ROOT = Path(__file__).parents[1]
+
+
+def read_demo(name: str) -> str:
+    """The scene of a demo, to be read anywhere: the path of its builder is a whole one."""
+    text = (ROOT / "demos" / f"{name}.toml").read_text(encoding="utf-8")
+    return text.replace("../geometry", str(ROOT / "geometry"))
 
 
 def write_blocks(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import write_blocks
+from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import estimates
@@ -21,13 +21,10 @@ from ewr_fenicsx.runs.study import _Modes, run_study
 from ewr_fenicsx.scene.scene import Excitation, load_scene
 from ewr_fenicsx.structure.chain import Stopwatch, build_chain, pose_problem
 
-ROOT = Path(__file__).parents[2]
-
 
 def write_scene(folder: Path, *more: str) -> Path:
     """The demo with two blocks, and more entries."""
-    text = (ROOT / "demos" / "two_blocks.toml").read_text(encoding="utf-8")
-    text = text.split("[solver]")[0].replace('"../geometry', f'"{ROOT}/geometry')
+    text = read_demo("two_blocks").split("[solver]")[0]
     path = folder / "scene.toml"
     path.write_text(text + "\n" + "\n".join(more) + "\n", encoding="utf-8")
     return path
@@ -35,7 +32,7 @@ def write_scene(folder: Path, *more: str) -> Path:
 
 def write_root(path: Path, frequency: object, *more: str) -> Path:
     """A blade root with a coarse mesh, at a frequency or several, and more entries."""
-    text = (ROOT / "demos" / "blade_root.toml").read_text(encoding="utf-8").replace('"../geometry', f'"{ROOT}/geometry')
+    text = read_demo("blade_root")
     text = text.replace("[loads.axial_pull]", "parameters = {mesh_size = 0.003, pairs = 4}\n[loads.axial_pull]", 1)
     text = text.replace("frequency = 1000.0", f"frequency = {frequency}")
     path.write_text("\n".join([text, *more]) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ import meshio
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from small_scenes import write_blocks
+from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import ReducedModel, load_scene, solve
 from ewr_fenicsx.accuracy.estimates import measure_distance
@@ -298,8 +298,7 @@ def test_info_counts_without_solving(capsys, monkeypatch):
 
 
 def test_info_counts_no_unknowns_that_an_accuracy_chooses(tmp_path, capsys):
-    text = SCENE.read_text().replace("../geometry", str(SCENE.parents[1] / "geometry"))
-    (tmp_path / "scene.toml").write_text(f"{text}\n[solver]\naccuracy = 0.01\n")
+    (tmp_path / "scene.toml").write_text(f"{read_demo('blade_root')}\n[solver]\naccuracy = 0.01\n")
     assert main(["info", str(tmp_path / "scene.toml")]) == 0
     lines = capsys.readouterr().out.splitlines()
     row = lambda name: next(" ".join(line.split()[1:]) for line in lines if line.startswith(name))  # noqa: E731

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from small_scenes import read_demo
 from sparse_matrices import to_scipy
 
 from ewr_fenicsx import integrate, load_scene, solve
@@ -25,9 +26,10 @@ SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT = re.findall(
 @pytest.fixture(scope="module")
 def blocks(tmp_path_factory):
     """Two blocks, with the damping of the page's script."""
-    text = (ROOT / "demos" / "two_blocks.toml").read_text(encoding="utf-8").replace("../", f"{ROOT}/")
     path = tmp_path_factory.mktemp("blocks") / "blocks.toml"
-    path.write_text(text + '\n[damping]\nkind = "rayleigh"\nalpha = 5.0\nbeta = 1e-7\n', encoding="utf-8")
+    path.write_text(
+        read_demo("two_blocks") + '\n[damping]\nkind = "rayleigh"\nalpha = 5.0\nbeta = 1e-7\n', encoding="utf-8"
+    )
     return build_chain(load_scene(path))
 
 

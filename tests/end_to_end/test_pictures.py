@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from small_scenes import write_blocks
+from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
@@ -74,7 +74,7 @@ BROKEN = r"price 5$ \frac{x$"  # a formula that matplotlib cannot read; of two d
 
 
 def test_dollars_in_titles_and_names_are_dollars(texts_with_dollars, tmp_path):
-    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("two_blocks")
     text = text.replace('"Two blocks under shaker load"', f"'{BROKEN}'").replace("[loads.shake]", f"[loads.'{BROKEN}']")
     (tmp_path / "scene.toml").write_text(text)
     scene = load_scene(tmp_path / "scene.toml")
@@ -120,7 +120,7 @@ def test_forces_that_pull_begin_on_the_body(drawn):
 
 def test_forces_are_told_apart_by_colour_and_length(drawn, tmp_path):
     """A push and two shakers, of 250 N and of a tenth of that."""
-    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("two_blocks")
     text += '[loads.hum]\nboundary = "top"\nforce = [15.0, 20.0]\nharmonic = 2\n'
     (tmp_path / "scene.toml").write_text(text)
     axes = drawn(tmp_path / "scene.toml")[0]
@@ -170,7 +170,7 @@ def test_pairs_are_drawn_in_the_units_that_the_axes_name(tmp_path, monkeypatch):
 
 def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
     """Axes are then a thousandth of a micrometre wide, and their numbers long."""
-    text = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("blade_root")
     text = text.partition("[loads.tip_shake]")[0]  # at rest
     (tmp_path / "scene.toml").write_text(text)
     study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
@@ -187,7 +187,7 @@ def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
 
 def test_flanks_are_not_held_against_laws_that_they_do_not_have(tmp_path, monkeypatch):
     """Under a given normal force bodies overlap by micrometres: that is no violation, and no scale for other gaps."""
-    text = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("blade_root")
     text += '[flanks.bottom_right]\nnormal = "prescribed"\nnormal_force = 80.0\n'
     (tmp_path / "scene.toml").write_text(text + '[flanks.top_right]\ntangential = "frictionless"\n')
     study = run_study(build_chain(load_scene(tmp_path / "scene.toml")))
@@ -210,7 +210,7 @@ def test_a_law_of_one_s_own_is_not_held_against_coulomb_s_set(scene, panels, tmp
     recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
     code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1)
     (tmp_path / "slider.py").write_text(code.replace('"jenkins"', f'"slider_{scene}"'))
-    text = (ROOT / "demos" / f"{scene}.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo(scene)
     own = f'law_files = ["slider.py"]\ntangential = "slider_{scene}"\nparameters = {{ spring = 1e7, limit = 0.1 }}'
     text = re.sub("(?m)^frequency = .*", "frequency = 215.0", re.sub("(?m)^friction = .*", own, text))
     (tmp_path / "scene.toml").write_text(text)
@@ -225,7 +225,7 @@ def test_a_law_of_one_s_own_is_not_held_against_coulomb_s_set(scene, panels, tmp
 def worn(tmp_path_factory):
     """Two cycles of wear of the dovetail."""
     scene = tmp_path_factory.mktemp("worn") / "scene.toml"
-    text = (ROOT / "demos" / "dovetail.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("dovetail")
     scene.write_text(text.replace("cycles = 2000", "cycles = 2"))
     return run_study(build_chain(load_scene(scene)))
 
@@ -246,7 +246,7 @@ def test_flanks_of_a_large_fir_tree_have_colours_of_their_own():
 
 def test_a_curve_without_outputs_shows_something_that_moves(tmp_path, monkeypatch):
     """Nothing slides where all is bonded."""
-    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("two_blocks")
     text = text.partition("[outputs")[0] + '[contact]\nbody_a = "upper"\nbody_b = "lower"\n'
     text += 'normal = "bonded"\ntangential = "bonded"\n[excitation]\nfrequency = [900.0, 1000.0]\n'
     (tmp_path / "scene.toml").write_text(text)

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from small_scenes import BLOCKS, write_blocks
+from small_scenes import BLOCKS, read_demo, write_blocks
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.cli import main
@@ -115,12 +115,7 @@ def test_a_mesh_of_second_order_has_values_at_all_its_nodes(run, tmp_path, capsy
 
 
 def test_dovetail_knows_nothing_of_fir_trees(tmp_path):
-    text = (
-        (ROOT / "demos" / "blade_root.toml")
-        .read_text()
-        .replace("../geometry/fir_tree.py", str(ROOT / "geometry" / "dovetail.py"))
-    )
-    (tmp_path / "scene.toml").write_text(text)
+    (tmp_path / "scene.toml").write_text(read_demo("blade_root").replace("fir_tree.py", "dovetail.py"))
     chain = build_chain(load_scene(tmp_path / "scene.toml"))
     assert chain.interface.flanks == ("left", "right")
     assert chain.reduction.full_stick.frequency[0] > 100
@@ -128,8 +123,7 @@ def test_dovetail_knows_nothing_of_fir_trees(tmp_path):
 
 def test_rotation_takes_the_place_of_the_axial_pull(tmp_path):
     """The centrifugal force grows with the square of the speed and pulls outwards, along +y."""
-    default = (ROOT / "demos" / "blade_root.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
-    head, tail = default.split("[loads.axial_pull]")
+    head, tail = read_demo("blade_root").split("[loads.axial_pull]")
     resultants = []
     for speed in (5000, 10000):
         text = (
@@ -157,8 +151,7 @@ def test_each_form_of_damping_dissipates(run, damping):
 
 def test_each_flank_has_its_own_laws(tmp_path):
     """A dovetail bonded on its left flank and rubbing on its right one, through files."""
-    default = (ROOT / "demos" / "blade_root.toml").read_text()
-    text = default.replace("../geometry/fir_tree.py", str(ROOT / "geometry" / "dovetail.py"))
+    text = read_demo("blade_root").replace("fir_tree.py", "dovetail.py")
     text += "\n[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n[flanks.right]\nfriction = 0.35\n"
     (tmp_path / "scene.toml").write_text(text)
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
@@ -254,7 +247,7 @@ def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):
 
     Past the folds motions in time leave the lower branch as well, at the highest frequencies for good.
     """
-    text = (ROOT / "demos" / "tapping_rod.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("tapping_rod")
     range_ = "frequency = { from = 6400, to = 6800, points = 5 }"
     (tmp_path / "scene.toml").write_text(text.replace("frequency = 6000.0", range_))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0

@@ -7,17 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import read_demo
 
 from ewr_fenicsx.cli import main
 from ewr_fenicsx.runs.findings import measure_spacing
 from ewr_fenicsx.structure.interface import Interface
 
-ROOT = Path(__file__).parents[2]
-
 
 def run_magnified(folder: Path, factor: float) -> list[str]:
     """The doubts about the two blocks with all loads, and so all motions, ``factor`` times as large."""
-    text = (ROOT / "demos" / "two_blocks.toml").read_text().replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("two_blocks")
     for force in ("[0.0, -1000.0]", "[250.0, 0.0]"):
         assert force in text
         text = text.replace(force, str([factor * f for f in json.loads(force)]))

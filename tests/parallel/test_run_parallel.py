@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import read_demo
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.result_folder import hold_target
@@ -139,7 +140,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_by_all_ranks(mpirun, tmp
 
 def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):
     """Ranks that share the mesh round differently from run to run: the work goes on with the model it began with."""
-    text = (ROOT / "demos" / "dovetail.toml").read_text(encoding="utf-8").replace("../geometry", str(ROOT / "geometry"))
+    text = read_demo("dovetail")
     text = text.split("[wear]")[0].replace("wear = 1e-12", "").replace("force = [80.0", "force = [20.0")
     text = text.replace("frequency = 1400.0", "frequency = { from = 1200, to = 1500, points = 16 }")
     text += "[solver]\nharmonics = 1\n"
