@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_runs import read_table
 from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import solve, solve_to_accuracy
@@ -152,8 +152,7 @@ def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
     assert main(["run", str(path), "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
     assert "of 0.1 asked, highest harmonics" in told and "NOT as accurate" not in told
-    with (tmp_path / "out" / "frequency_response.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = read_table(tmp_path / "out" / "frequency_response.csv")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert len(summary["model"]["fixed_interface_frequencies_Hz"]) > 1
     assert {"sweep", "more modes"} <= set(summary["seconds"])
@@ -161,11 +160,11 @@ def test_a_sweep_is_as_accurate_as_asked(tmp_path, capsys):
     scene = load_scene(path)
     chain = build_chain(scene.model_copy(update={"reduction": scene.reduction.model_copy(update={"modes": 60})}))
     for frequency, row in zip(frequencies, rows, strict=True):
-        assert float(row["frequency [Hz]"]) == frequency
-        assert float(row["estimate"]) <= 0.1
+        assert row["frequency [Hz]"] == frequency
+        assert row["estimate"] <= 0.1
         problem = pose_problem(scene, chain.reduction.model, chain.interface)
         true = np.abs(solve(replace(problem, frequency=frequency, harmonics=13)).output("tip")[1:])
-        off = [float(row.get(f"|tip| harmonic {h}", 0.0)) - true[h - 1] for h in range(1, 14)]
+        off = [row.get(f"|tip| harmonic {h}", 0.0) - true[h - 1] for h in range(1, 14)]
         assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
 
 
@@ -186,9 +185,7 @@ def test_wear_is_as_accurate_as_asked(tmp_path):
     assert depth[-1] == pytest.approx(expected[-1], rel=0.3)  # as tests/verification/test_wear.py: three accuracies
     assert found.solution.problem.wear.max() == pytest.approx(truth.solution.problem.wear.max(), rel=0.3)
     found.write(tmp_path)
-    with (tmp_path / "wear.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert all(float(row["estimate"]) <= 0.1 for row in rows)
+    assert all(row["estimate"] <= 0.1 for row in read_table(tmp_path / "wear.csv"))
 
 
 @pytest.mark.parametrize(

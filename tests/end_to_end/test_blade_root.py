@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import subprocess
@@ -14,6 +13,7 @@ import h5py
 import meshio
 import numpy as np
 import pytest
+from scene_runs import read_table
 from scipy.integrate import trapezoid
 from small_scenes import read_demo, write_blocks
 
@@ -52,9 +52,8 @@ def summary(run):
 
 @pytest.fixture(scope="module")
 def pairs(run):
-    with (run[1] / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {key: np.array([row[key] if key == "flank" else float(row[key]) for row in rows]) for key in rows[0]}
+    rows = read_table(run[1] / "pairs.csv")
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
 def read_series(path: Path) -> tuple[np.ndarray, list[tuple[float, np.ndarray]]]:

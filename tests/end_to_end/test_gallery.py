@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib
 import json
 import os
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from scene_runs import read_table
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.cli import main
@@ -46,11 +46,6 @@ def run(tmp_path):
         return summary, read_table(folder / "pairs.csv"), folder
 
     return run_scene
-
-
-def read_table(path: Path) -> list[dict]:
-    with path.open() as file:
-        return [{k: v if k == "flank" else float(v) for k, v in row.items()} for row in csv.DictReader(file)]
 
 
 def column(rows: list[dict], name: str) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import subprocess
@@ -15,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scene_runs import read_table, run_scene
 from small_scenes import BLOCKS, read_demo, write_blocks
 
 from ewr_fenicsx import load_scene, solve
@@ -104,8 +104,8 @@ def test_a_mesh_of_second_order_has_values_at_all_its_nodes(run, tmp_path, capsy
         place, pressure = file["Mesh/mesh/geometry"][:], file["Function/contact_pressure/0"][:, 0]
     joint = np.isclose(place[:, 1], 0.03)
     assert joint.sum() == 2 * summary["model"]["pairs"] == 2 * 13
-    table = list(csv.DictReader((tmp_path / "results" / "pairs.csv").open()))
-    x, area = (np.array([float(row[name]) for row in table]) for name in ("x [m]", "area [m^2]"))
+    table = read_table(tmp_path / "results" / "pairs.csv")
+    x, area = (np.array([row[name] for row in table]) for name in ("x [m]", "area [m^2]"))
     at_pair = np.interp(x, *(values[joint][np.argsort(place[joint, 0])][::2] for values in (place[:, 0], pressure)))
     assert (at_pair * area).sum() == pytest.approx(1000.0, rel=1e-6), "bonds carry the load"
 
@@ -153,45 +153,35 @@ def test_each_flank_has_its_own_laws(tmp_path):
     """A dovetail bonded on its left flank and rubbing on its right one, through files."""
     text = read_demo("blade_root").replace("fir_tree.py", "dovetail.py")
     text += "\n[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n[flanks.right]\nfriction = 0.35\n"
-    (tmp_path / "scene.toml").write_text(text)
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
-    with (tmp_path / "results" / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    summary, rows = run_scene(tmp_path, text), read_table(tmp_path / "results" / "pairs.csv")
     flank = {name: [row for row in rows if row["flank"] == name] for name in ("left", "right")}
     assert summary["solution"]["unknowns"] == 2 * len(flank["right"]) * 11, "bonds hold the blade: nothing floats"
-    assert {row["stick_share"] for row in flank["left"]} == {"1.0"}
-    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["left"]) < 1e-15
-    assert max(float(row["sliding_distance [m/cycle]"]) for row in flank["right"]) > 1e-8
-    assert min(float(row["normal_force_min [N]"]) for row in flank["left"]) < 0, "a bond pulls"
+    assert {row["stick_share"] for row in flank["left"]} == {1.0}
+    assert max(row["sliding_distance [m/cycle]"] for row in flank["left"]) < 1e-15
+    assert max(row["sliding_distance [m/cycle]"] for row in flank["right"]) > 1e-8
+    assert min(row["normal_force_min [N]"] for row in flank["left"]) < 0, "a bond pulls"
 
 
-def test_a_static_scene_is_solved_at_rest(run, tmp_path):
-    (tmp_path / "rest.toml").write_text(write_blocks().split("[loads.shake]")[0])
-    assert main(["run", str(tmp_path / "rest.toml"), "--out", str(tmp_path / "rest")]) == 0
-    summary = json.loads((tmp_path / "rest" / "summary.json").read_text())
+def test_a_static_scene_is_solved_at_rest(tmp_path):
+    summary = run_scene(tmp_path, write_blocks().split("[loads.shake]")[0])
     pairs = summary["model"]["pairs"]
     assert summary["solution"]["harmonics"] == [0]
     assert summary["solution"]["unknowns"] == 2 * pairs + 3
-    with h5py.File(tmp_path / "rest" / "displacement.h5") as file:
+    with h5py.File(tmp_path / "results" / "displacement.h5") as file:
         assert len(file["Function"]["displacement"]) == 1
-    with (tmp_path / "rest" / "pairs.csv").open() as file:
-        forces = [float(row["normal_force_mean [N]"]) for row in csv.DictReader(file)]
+    forces = [row["normal_force_mean [N]"] for row in read_table(tmp_path / "results" / "pairs.csv")]
     assert sum(forces) == pytest.approx(1000.0, rel=1e-9)
 
 
 def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
-    (tmp_path / "scene.toml").write_text(write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    with (tmp_path / "results" / "frequency_response.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["frequency [Hz]"]) for row in rows] == [2000, 3000, 4000, 5000, 6000]
-    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
+    summary = run_scene(tmp_path, write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
+    rows = read_table(tmp_path / "results" / "frequency_response.csv")
+    assert [row["frequency [Hz]"] for row in rows] == [2000, 3000, 4000, 5000, 6000]
     assert {"frequency_response.csv", "frequency_response.png", "displacement.xdmf"} <= set(summary["files"])
     assert "sweep" in summary["seconds"] and "solve" not in summary["seconds"]
-    peak = max(rows, key=lambda row: float(row["rms_tip"]))
-    assert summary["solution"]["frequency_Hz"] == float(peak["frequency [Hz]"])
-    assert abs(tip_amplitude(summary)) == pytest.approx(float(peak["|tip| harmonic 1"]), rel=1e-12)
+    peak = max(rows, key=lambda row: row["rms_tip"])
+    assert summary["solution"]["frequency_Hz"] == peak["frequency [Hz]"]
+    assert abs(tip_amplitude(summary)) == pytest.approx(peak["|tip| harmonic 1"], rel=1e-12)
 
 
 @pytest.fixture
@@ -216,9 +206,7 @@ def test_a_summary_holds_what_decides_on_the_trust_in_a_curve(tmp_path, monkeypa
     sweep = frequency_sweep.frequency_response
     broken = lambda *given, **named: replace(sweep(*given, **named), missing=(4500.0,), jumps=(jump,))  # noqa: E731
     monkeypatch.setattr(frequency_sweep, "frequency_response", broken)
-    (tmp_path / "scene.toml").write_text(write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["sweep"]
+    facts = run_scene(tmp_path, write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))["sweep"]
     assert facts["missing_Hz"] == [4500.0] and facts["solutions"] == 5
     assert facts["jumps"] == [{"from_Hz": 3000.0, "to_Hz": 4000.0, "why": "no branch led on"}]
     assert ("-", [2000, 3000]) in drawn and ("-", [4000, 5000, 6000]) in drawn
@@ -235,10 +223,7 @@ def test_the_stability_of_a_sweep_is_looked_at_once(tmp_path, monkeypatch, solve
         return find(curve, *shared)
 
     monkeypatch.setattr(response_curve.FrequencyResponse, "_find_unstable", count)
-    (tmp_path / "scene.toml").write_text(
-        write_blocks(frequency="{ from = 2000, to = 6000, points = 3 }", solver=solver)
-    )
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    run_scene(tmp_path, write_blocks(frequency="{ from = 2000, to = 6000, points = 3 }", solver=solver))
     assert looked == [(3, solver.startswith("accuracy"), 3)]
 
 
@@ -249,16 +234,13 @@ def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):
     """
     text = read_demo("tapping_rod")
     range_ = "frequency = { from = 6400, to = 6800, points = 5 }"
-    (tmp_path / "scene.toml").write_text(text.replace("frequency = 6000.0", range_))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    with (tmp_path / "results" / "frequency_response.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    frequency, height = (np.array([float(row[name]) for row in rows]) for name in ("frequency [Hz]", "rms_tip"))
-    unstable = np.array([row["unstable"] == "1" for row in rows])
+    summary = run_scene(tmp_path, text.replace("frequency = 6000.0", range_))
+    rows = read_table(tmp_path / "results" / "frequency_response.csv")
+    frequency, height = (np.array([row[name] for row in rows]) for name in ("frequency [Hz]", "rms_tip"))
+    unstable = np.array([row["unstable"] == 1 for row in rows])
     turns = np.flatnonzero(np.diff(np.sign(np.diff(frequency)))) + 1
     assert len(turns) == 2 and unstable[turns[0] + 1 : turns[1]].all()
     assert not unstable[: turns[0] - 1].any() and unstable[-2:].all()
-    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
     assert summary["sweep"]["unstable"] == unstable.sum()
     assert summary["solution"]["frequency_Hz"] == frequency[np.where(unstable, 0, height).argmax()]
     dashed = [points for style, points in drawn if style == "--"]
@@ -299,10 +281,9 @@ def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
     assert fields == ALL_FIELDS | {"slider_velocity"}
     pairs = summary["model"]["pairs"]
     assert summary["solution"]["unknowns"] == 2 * pairs * 7 + 3
-    with (tmp_path / "results" / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert max(abs(float(row["friction_force_max [N]"])) for row in rows) < 3.0 * 1.5
-    assert max(float(row["slider_velocity_max"]) for row in rows) > 0
+    rows = read_table(tmp_path / "results" / "pairs.csv")
+    assert max(abs(row["friction_force_max [N]"]) for row in rows) < 3.0 * 1.5
+    assert max(row["slider_velocity_max"] for row in rows) > 0
     capsys.readouterr()
     assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     lines = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}

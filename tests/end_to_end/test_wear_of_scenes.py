@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import replace
 
 import pytest
+from scene_runs import read_table, run_scene
 from small_scenes import write_blocks
 
 from ewr_fenicsx import solve
@@ -18,9 +17,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
     evolve = wear.evolve_wear
     stop = lambda *given, **named: replace(evolve(*given, **named), stopped="after 2 cycles: enough")  # noqa: E731
     monkeypatch.setattr(wear, "evolve_wear", stop)
-    (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
-    facts = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]
+    facts = run_scene(tmp_path, write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))["wear"]
     assert facts["stopped"] == "after 2 cycles: enough" and facts["cycles"] == 2 and facts["solves"] >= 2
     assert facts["reservations_of_first_solve"] == []
     assert "estimated error of the response and the wear rate" in capsys.readouterr().out
@@ -28,16 +25,11 @@ def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
 
 def test_where_a_cycle_wears_too_much_the_remedy_is_a_key_of_the_scene(tmp_path, capsys):
     wears = "[wear]\ncycles = 20\ncoefficient = 5e-5\n"
-    scene = tmp_path / "scene.toml"
-    scene.write_text(write_blocks(wears, shake=150.0))
-    assert main(["run", str(scene), "--out", str(tmp_path / "results")]) == 0
-    stopped = json.loads((tmp_path / "results" / "summary.json").read_text())["wear"]["stopped"]
+    stopped = run_scene(tmp_path, write_blocks(wears, shake=150.0))["wear"]["stopped"]
     assert stopped.startswith("after 0 cycles: one cycle wears more than contact can follow")
     assert stopped.endswith("; lower wear.coefficient, or let wear pass as a flow: wear.tolerance = 0.01")
     assert f"stopped {stopped}" in capsys.readouterr().out
-    scene.write_text(write_blocks(f"{wears}tolerance = 0.01\n", shake=150.0))
-    assert main(["run", str(scene), "--out", str(tmp_path / "healed")]) == 0
-    healed = json.loads((tmp_path / "healed" / "summary.json").read_text())["wear"]
+    healed = run_scene(tmp_path, write_blocks(f"{wears}tolerance = 0.01\n", shake=150.0), "healed")["wear"]
     assert healed["stopped"] is None and healed["cycles"] == 20
     assert 10 < healed["rough_cycles"] <= 20, "a twentieth of a cycle is all that contact can follow at first"
     assert f"NOT within the tolerance: each of {healed['rough_cycles']} cycles wore" in capsys.readouterr().out
@@ -45,10 +37,9 @@ def test_where_a_cycle_wears_too_much_the_remedy_is_a_key_of_the_scene(tmp_path,
 
 def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkeypatch):
     """The worn joint is found from there without any."""
-    (tmp_path / "scene.toml").write_text(write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
     late = lambda *given, **named: replace(solve(*given, **named), fallbacks=("one: no", "two: yes"))  # noqa: E731
     monkeypatch.setattr("ewr_fenicsx.wear.cycle_jumps.solve", late)
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    run_scene(tmp_path, write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))
     out = capsys.readouterr().out
     assert "the first solve: fallback: one: no" in out and "the first solve: fallback: two: yes" in out
     assert "the first solve: found by a fallback: there may be other solutions" in " ".join(out.split())
@@ -56,17 +47,13 @@ def test_wear_tells_of_the_fallbacks_of_its_first_solve(tmp_path, capsys, monkey
 
 def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
     wears = "[wear]\ncycles = 20\ncoefficient = 1e-9"
-    (tmp_path / "scene.toml").write_text(write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    summary = run_scene(tmp_path, write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
     assert "20 cycles in" in capsys.readouterr().out
-    with (tmp_path / "results" / "wear.csv").open() as file:
-        history = list(csv.DictReader(file))
-    with (tmp_path / "results" / "pairs.csv").open() as file:
-        worn = [float(row["worn_depth [m]"]) for row in csv.DictReader(file)]
-    assert float(history[-1]["cycles"]) == 20 and float(history[0]["deepest [m]"]) == 0
-    assert max(worn) == pytest.approx(float(history[-1]["deepest [m]"]), rel=1e-12)
+    history = read_table(tmp_path / "results" / "wear.csv")
+    worn = [row["worn_depth [m]"] for row in read_table(tmp_path / "results" / "pairs.csv")]
+    assert history[-1]["cycles"] == 20 and history[0]["deepest [m]"] == 0
+    assert max(worn) == pytest.approx(history[-1]["deepest [m]"], rel=1e-12)
     assert max(worn) > 0
-    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
     assert {"wear.csv", "wear.png", "worn_depth.xdmf", "worn_gap.xdmf", "worn_surface.xdmf"} <= set(summary["files"])
     capsys.readouterr()
     assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
@@ -80,11 +67,9 @@ def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
 
 def test_wear_through_a_body_is_no_result(tmp_path, capsys):
     wears = "[wear]\ncycles = 200\ncoefficient = 1e-3\ntolerance = 0.1"
-    (tmp_path / "scene.toml").write_text(write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
-    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    summary = run_scene(tmp_path, write_blocks(wears, "[contact]\nfriction = 0.1", shake=150.0))
     told = capsys.readouterr()
     assert "wear.coefficient = 0.001 1/Pa is far above that of any joint" in told.err
     assert "m deep, more than 0.03 m" in told.out
     assert "NOT a result: a body is only 0.03 m thick; see wear.coefficient" in told.out
-    summary = json.loads((tmp_path / "results" / "summary.json").read_text())
     assert "more than 0.03 m" in summary["wear"]["stopped"] and summary["wear"]["cycles"] < 200

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_runs import read_table
 from small_scenes import read_demo
 
 from ewr_fenicsx import load_scene
@@ -21,12 +21,8 @@ pytestmark = pytest.mark.parallel
 
 
 def read_pairs(folder: Path) -> dict[str, np.ndarray]:
-    with (folder / "pairs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {
-        key: np.array([row[key] for row in rows] if key == "flank" else [float(row[key]) for row in rows])
-        for key in rows[0]
-    }
+    rows = read_table(folder / "pairs.csv")
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
 def test_two_ranks_give_the_figures_of_one(mpirun, tmp_path):
@@ -170,8 +166,8 @@ def test_an_interrupted_sweep_goes_on(mpirun, tmp_path):
     done = mpirun(2, "python", "script.py", "results", "-1")
     assert done.returncode == 0 and done.stderr.count("found interrupted work in results.partial") == 1, done.stderr
     assert not partial.exists()
-    with (tmp_path / "results" / "frequency_response.csv").open() as file:
-        table = [[float(row["frequency [Hz]"]), float(row["rms_tip"])] for row in csv.DictReader(file)]
+    rows = read_table(tmp_path / "results" / "frequency_response.csv")
+    table = [[row["frequency [Hz]"], row["rms_tip"]] for row in rows]
     assert len(table) == 16
     frequencies, alone = run_study(build_chain(load_scene(tmp_path / "scene.toml"))).curve
     np.testing.assert_allclose(np.transpose(table), [frequencies, alone], rtol=1e-6)
