@@ -13,6 +13,7 @@ import gmsh
 import h5py
 import numpy as np
 import pytest
+from checked_solutions import find_turns
 from matplotlib.figure import Figure
 from scene_runs import read_table, run_scene
 from small_scenes import BLOCKS, read_demo, write_blocks
@@ -238,7 +239,7 @@ def test_a_curve_that_folds_shows_what_is_unstable(tmp_path, drawn):
     rows = read_table(tmp_path / "results" / "frequency_response.csv")
     frequency, height = (np.array([row[name] for row in rows]) for name in ("frequency [Hz]", "rms_tip"))
     unstable = np.array([row["unstable"] == 1 for row in rows])
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(frequency)))) + 1
+    turns = find_turns(frequency)
     assert len(turns) == 2 and unstable[turns[0] + 1 : turns[1]].all()
     assert not unstable[: turns[0] - 1].any() and unstable[-2:].all()
     assert summary["sweep"]["unstable"] == unstable.sum()

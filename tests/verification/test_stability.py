@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from checked_solutions import find_turns
 from small_models import PROBLEMS, dovetail, repeat_first_pair, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve
@@ -24,7 +25,7 @@ LAWS = ContactLaws(tangential="frictionless", initial_gap=1.0)
 def branches():
     """Solutions at three solutions' frequencies: up to the upper fold, between the folds, from the lower one."""
     curve = frequency_response(stop_oscillator(), LAWS, np.linspace(0.15, 0.18, 13), 9, progress=False)
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(curve.frequencies)))) + 1
+    turns = find_turns(curve.frequencies)
     assert len(turns) == 2
     pieces = np.split(np.arange(len(curve.solutions)), turns)
     kept = {"upper": pieces[0], "middle": pieces[1][3:-3], "lower": pieces[2][3:]}  # but for the folds' noses
