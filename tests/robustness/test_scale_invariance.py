@@ -10,39 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_units import change_units
 from hard_cases import DEGENERATE, draw_cases, pose_case
 
 from ewr_fenicsx import ContactProblem, solve
 
 # length, mass and time in new units, over those in old ones: about mm, t, s; mm, kg, ms; and something silly
 UNITS = {"mm, t, s": (1024.0, 1 / 1024, 1.0), "mm, kg, ms": (1024.0, 1.0, 1024.0), "silly": (4.0**-9, 4.0**6, 4.0**4)}
-
-
-def change_units(problem: ContactProblem, length: float, mass: float, time: float) -> ContactProblem:
-    """The same problem told in other units."""
-    model, laws = problem.model, problem.laws
-    force = mass * length / time**2
-    scaled = lambda value, factor: None if value is None else factor * np.asarray(value)  # noqa: E731
-    loads = lambda load: None if load is None else {h: force * np.asarray(f) for h, f in load.items()}  # noqa: E731
-    model = replace(
-        model,
-        mass=model.mass * mass,
-        damping=model.damping * (mass / time),
-        stiffness=model.stiffness * (mass / time**2),
-        load=loads(model.load),
-        pair_area=scaled(model.pair_area, length**2),
-    )
-    return replace(
-        problem,
-        model=model,
-        laws=replace(
-            laws, initial_gap=length * np.asarray(laws.initial_gap), normal_force=scaled(laws.normal_force, force)
-        ),
-        frequency=problem.frequency / time,
-        rho_normal=scaled(problem.rho_normal, mass / time**2),
-        rho_tangential=scaled(problem.rho_tangential, time / mass),
-        load=loads(problem.load),
-    )
 
 
 def compare(problem: ContactProblem, units: tuple[float, float, float]) -> None:

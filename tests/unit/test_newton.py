@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_units import change_units
 from checked_solutions import measure_residual
 from petsc4py import PETSc
 from small_models import (
@@ -18,7 +19,7 @@ from small_models import (
     repeat_first_pair,
 )
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.scene.scene import Solver
@@ -310,26 +311,13 @@ def test_multiples_of_the_frequency_are_a_matter_of_counting():
     assert other.merit["excitation_work"] == pytest.approx(2 * plain.merit["excitation_work"], rel=1e-8)
 
 
-# 1 m = 1000 mm, 1 kg = 1e-3 t, N and s stay
-def in_millimetres_and_tonnes(model: ReducedModel) -> ReducedModel:
-    return replace(
-        model,
-        mass=model.mass / 1e3,
-        damping=model.damping / 1e3,
-        stiffness=model.stiffness / 1e3,
-        pair_area=None if model.pair_area is None else model.pair_area * 1e6,
-    )
-
-
 @pytest.mark.parametrize("name", ["floating, slip", "floating, mean zero", "lift-off", "stuck", "prescribed"])
 def test_units_change_no_step(name):
+    """1 m = 1000 mm, 1 kg = 1e-3 t; N and s stay."""
     problem = PROBLEMS[name]
-    laws = problem.laws
     if name == "lift-off":
-        laws = replace(laws, initial_gap=0.02)
-        problem = replace(problem, laws=laws)
-        laws = replace(laws, initial_gap=20.0)
-    other = replace(problem, model=in_millimetres_and_tonnes(problem.model), laws=laws)
+        problem = replace(problem, laws=replace(problem.laws, initial_gap=0.02))
+    other = change_units(problem, length=1e3, mass=1e-3, time=1.0)
     metres, millimetres = solve(problem, tolerance=1e-10), solve(other, tolerance=1e-10)
     assert metres.iterations == millimetres.iterations
     rounding = 1e-12  # two orders below the tolerance
