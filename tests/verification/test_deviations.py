@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from small_models import dovetail
-from test_floquet import FRICTIONLESS, gyroscope, rate_of_gyroscope, step_masses, two_masses
+from test_floquet import FRICTIONLESS, step_masses, two_masses
+from test_floquet_linear import gyroscope, rate_of_gyroscope
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.in_time import floquet
