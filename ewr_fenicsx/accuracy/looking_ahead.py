@@ -147,7 +147,7 @@ def look_ahead(solution: PeriodicSolution) -> tuple[ContactProblem, int]:
 
 
 def raise_harmonics(problem: ContactProblem) -> ContactProblem:
-    """The problem with all harmonics up to half as high again, samples to match, and the truncation closed otherwise.
+    """The problem with all harmonics up to half as high again, and samples to match.
 
     What springs leave is small and seen from further off: with twice the harmonics, and dashpots. Behind springs of
     their own pairs are seen from these: what dashpots leave there is the same with some more harmonics.
