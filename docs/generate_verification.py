@@ -11,18 +11,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from markdown_tables import write_table
-from verification_cases import NOTES, ROOT, SECTIONS, Case
+from verification_cases import NOTES, ROOT, SECTIONS, Case  # puts benchmarks on the path
 
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-from models import blade_root, shake
-from reporting import clock
+from models import blade_root, shake  # isort: skip
+from reporting import clock  # isort: skip
 
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / part) for part in ("tests", "tests/verification")]
+sys.path[:0] = [str(ROOT / part) for part in ("benchmarks", "tests", "tests/verification")]
 
 import test_bar_against_wall as bar  # noqa: E402
 import test_den_hartog as den_hartog  # noqa: E402
