@@ -31,7 +31,7 @@ import numpy as np
 from hard_cases import CapReached, draw_cases, limit_work, pose_case
 from models import ROOT, blade_root, shake
 from mpi4py import MPI
-from reporting import describe_machine, print_table, write_json
+from reporting import clock, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy.accuracy import SAMPLES
@@ -78,12 +78,9 @@ class Reference:
 
 def time_run(run: Callable[[], Result]) -> tuple[Result, float]:
     """What a run returns, and its processor time; the median of three where it is short."""
-    spent: list[float] = []
-    while not spent or (len(spent) < 3 and spent[0] < SHORT):
-        begin = time.process_time()
-        result = run()
-        spent.append(time.process_time() - begin)
-    return result, float(np.median(spent))
+    result, spent = clock(run)
+    again = [clock(run)[1] for _ in range(2 if spent < SHORT else 0)]
+    return result, float(np.median([spent, *again]))
 
 
 def read(source, highest: int = HIGH_ORDER) -> np.ndarray:

@@ -223,11 +223,11 @@ def tell_asked(rows: list[dict], found: dict) -> str:
     )
 
 
-def tell_ways(found: dict) -> list[tuple[str, int]]:
+def tell_ways(found: dict) -> str:
     """How many cases of the sample have a reference by which ways."""
     names = {"both": "both", "time stepping": "time stepping alone", "harmonic": "harmonics alone"}
     ways = Counter(c["way"] for c in found["cases"] if c["kind"] == "compared")
-    return [(names[way], n) for way, n in ways.most_common()]
+    return ", ".join(f"{n} by {names[way]}" for way, n in ways.most_common())
 
 
 def list_misses(found: dict) -> str:
@@ -285,7 +285,7 @@ def write_page(cost: dict, found: dict, pictures: Path) -> str:
         misses=list_misses(found),
         without="\n".join(f"- {c['name']}" for c in found["cases"] if c["kind"] not in ("compared", "linear"))
         or "None.",
-        ways=", ".join(f"{n} by {way}" for way, n in tell_ways(found)),
+        ways=tell_ways(found),
     )
 
 

@@ -56,7 +56,7 @@ def find_own_springs(
     """
     found = np.zeros(len(rows))
     try:
-        far = measure_beyond(model, rows, omega, [highest * int(f) for f in FAR])
+        far = measure_beyond(model, rows, omega, highest * FAR)
     except ModelError:  # one hits an undamped mode exactly
         return found
     for part in np.lib.stride_tricks.sliding_window_view(far, IN_A_ROW, axis=0)[::-1]:  # the nearest counts, the last
