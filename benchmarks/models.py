@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx import ReducedModel
+from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.problem.layout import hold
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,7 +19,17 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from small_models import dovetail  # noqa: E402
 
-__all__ = ["blade_root", "damp", "dovetail", "find_first_mode", "lap_joint", "shake", "two_blocks", "two_trusses"]
+__all__ = [
+    "blade_root",
+    "damp",
+    "dovetail",
+    "find_first_mode",
+    "lap_joint",
+    "shake",
+    "take_step",
+    "two_blocks",
+    "two_trusses",
+]
 
 
 @lru_cache(maxsize=8)
@@ -165,6 +176,14 @@ def two_trusses(pairs: int, load: float, seed: int = 1) -> ReducedModel:
 def shake(model: ReducedModel, factor: float) -> ReducedModel:
     """The model with its oscillating loads times a factor; the constant ones stay."""
     return replace(model, load={h: force * (factor if h else 1.0) for h, force in model.load.items()})
+
+
+def take_step(balance: HarmonicBalance, unknowns: np.ndarray, *, all_rows: bool = False) -> None:
+    """One Newton step; with all rows in it, none eliminated, it is the worst that any state can cost."""
+    linear = balance.linearise(unknowns)
+    if all_rows:
+        linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)
+    linear.solve(linear.residual)
 
 
 def find_first_mode(model: ReducedModel) -> float:

@@ -12,10 +12,11 @@ from __future__ import annotations
 import argparse
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from models import blade_root
+from models import blade_root, take_step
 from reporting import clock, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem
@@ -28,12 +29,7 @@ def measure_step(balance: HarmonicBalance, repeats: int, keep_all_rows: bool) ->
     """Shortest time of one Newton step [s], and the memory that it takes on top [MB]."""
     start = balance.pack(*balance.full_stick)
 
-    def step() -> None:
-        linear = balance.linearise(start)
-        if keep_all_rows:
-            linear.__dict__["steady"] = np.zeros(balance.rows, dtype=bool)
-        linear.solve(linear.residual)
-
+    step = partial(take_step, balance, start, all_rows=keep_all_rows)
     _, seconds = clock(step, repeats)
     tracemalloc.start()
     step()
