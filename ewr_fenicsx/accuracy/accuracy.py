@@ -297,10 +297,12 @@ def pose_level(
         return posed
     if not springs:
         return use_mobility(replace_masses(posed))
-    posed = use_mobility(posed)
-    closed = replace(posed, closure="spring")
+    few, weighted = top <= FIRST_ORDER, use_mobility(posed)
+    if few and not posed.system.closures:  # no masses
+        return weighted
+    closed = replace(weighted, closure="spring")
     closures = closed.system.closures
-    return closed if closures and (top > FIRST_ORDER or "springs" not in closures) else posed
+    return weighted if not closures or (few and "springs" in closures) else closed
 
 
 def leave_dashpots(found: PeriodicSolution, closed: ContactProblem, tolerance: float) -> PeriodicSolution:

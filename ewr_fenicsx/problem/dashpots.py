@@ -61,14 +61,19 @@ def replace_masses(problem: ContactProblem) -> ContactProblem:
     return replace(problem, closure="dashpot") if "masses" in problem.system.closures else problem
 
 
-def read_weight(problem: ContactProblem, direction: str) -> RealArray | None:
+def read_weight(problem: ContactProblem, direction: str, stated: ContactProblem | None = None) -> RealArray | None:
     """``(K_c,)`` weights that laws with a ``rho`` were given in a direction, ones at other pairs; None without any.
 
     A law may make a weight of its own of the one that it is given, so its ``rho`` is not what a problem would repeat.
+
+    Args:
+        problem: The problem, whose laws are read.
+        direction: Of a force.
+        stated: The same with other weights: what its laws would be given. None: the problem itself.
     """
     system, weight, found = problem.system, np.ones(problem.model.pairs), False
     for law in system.laws:
         if law.direction == direction and hasattr(law, "rho"):
             flexibility = system.flexibility[system.row_of(direction, law.pairs)]
-            weight[law.pairs], found = choose_weight(problem, direction, law.pairs, flexibility), True
+            weight[law.pairs], found = choose_weight(stated or problem, direction, law.pairs, flexibility), True
     return weight if found else None

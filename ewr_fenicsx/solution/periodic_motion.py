@@ -119,7 +119,7 @@ class PeriodicMotion:
                 force += sample_amplitudes(given, everywhere, samples)
             return force
         if name == "gap":
-            opening = 0.0 if model.normal is None else basis.synthesise(self.coordinates @ model.normal.T)
+            opening = 0.0 if model.normal is None else basis.synthesise(self._move_apart("normal"))
             return opening + np.broadcast_to(self.problem.clearance, (samples, model.pairs))
         if name in ("slip", "slip_velocity"):
             if not model.tangents:
@@ -171,8 +171,20 @@ class PeriodicMotion:
     @cached_property
     def slip_amplitudes(self) -> Mapping[str, ComplexArray]:
         """Amplitudes ``(n_h, K_c)`` of the slip at all pairs by tangential direction [m]."""
-        model = self.problem.model
-        return {d: self.coordinates @ model.rows(d).T for d in model.tangent_directions}
+        return {direction: self._move_apart(direction) for direction in self.problem.model.tangent_directions}
+
+    def _move_apart(self, direction: str) -> ComplexArray:
+        """Amplitudes ``(n_h, K_c)`` of how the sides of all pairs move along a direction, A relative to B [m].
+
+        Where a force is sought, the compliance has told; the whole model need not be moved for that.
+        """
+        model, system = self.problem.model, self.problem.system
+        rows = system.row_of(direction, np.arange(model.pairs))
+        apart, sought = np.zeros((len(self.orders), model.pairs), dtype=complex), rows >= 0
+        apart[:, sought] = system.compliance.motion(self.forces, self.rigid)[:, rows[sought]]
+        if not np.all(sought):
+            apart[:, ~sought] = self.coordinates @ model.rows(direction)[~sought].T
+        return apart
 
     @property
     def _rate(self) -> ComplexArray:

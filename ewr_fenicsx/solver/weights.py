@@ -16,6 +16,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.dashpots import read_weight
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.continuation import BalanceAt
 from ewr_fenicsx.solver.ladder import BEHIND, LARGEST_TRACED, follow
@@ -46,9 +47,12 @@ def has_far_weights(problem: ContactProblem) -> bool:
     """Whether some pair's weight is far from its default, and nothing but dashpots closes the truncation."""
     if problem.system.closures or not has_own_weights(problem):
         return False
-    laws = zip(use_default_weights(problem).system.laws, problem.system.laws, strict=True)
-    ratios = [other.rho / law.rho for law, other in laws if hasattr(law, "rho")]
-    return any(np.any(ratio > FAR) or np.any(ratio < 1 / FAR) for ratio in ratios)
+    usual = use_default_weights(problem)
+    for direction in ("normal", "tangential"):
+        given, default = (read_weight(problem, direction, stated) for stated in (problem, usual))
+        if given is not None and np.any((given > FAR * default) | (given < default / FAR)):
+            return True
+    return False
 
 
 def use_default_weights(problem: ContactProblem) -> ContactProblem:
