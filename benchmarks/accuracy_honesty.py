@@ -34,8 +34,8 @@ from mpi4py import MPI
 from reporting import clock, describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy.accuracy import SAMPLES
 from ewr_fenicsx.accuracy.estimates import compare_responses
+from ewr_fenicsx.accuracy.levels import SAMPLES
 from ewr_fenicsx.accuracy.looking_ahead import choose_samples
 from ewr_fenicsx.errors import EwrError
 from ewr_fenicsx.problem.dashpots import use_mobility

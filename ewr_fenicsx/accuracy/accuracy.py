@@ -22,21 +22,16 @@ from ewr_fenicsx.accuracy.estimates import (
     find_rate,
     measure_distance,
 )
-from ewr_fenicsx.accuracy.looking_ahead import choose_samples
+from ewr_fenicsx.accuracy.levels import SAMPLES, Knobs, solve_level
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
-from ewr_fenicsx.problem.dashpots import replace_masses, use_mobility
 from ewr_fenicsx.solution.solution import PeriodicSolution
-from ewr_fenicsx.solution.symmetry import leave_out_idle
-from ewr_fenicsx.solver.newton import solve
-from ewr_fenicsx.solver.weights import use_default_weights
 
 # Accuracy that the first few harmonics hardly ever meet, and what a solve begins with there: the level is spared.
 FINE, FINE_ORDER = 0.02, 5
 GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
 GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
-SAMPLES = 8  # a highest harmonic, to begin with
 MORE_SAMPLES = 4  # times as many, where the first solve finds nothing
 MOST_HARMONICS = 63  # of the lowest harmonic with a load
 MOST_SAMPLES = 512  # a highest harmonic
@@ -60,6 +55,12 @@ class Level:
     steps: int
     seconds: float
     modes: int = 0
+
+    @classmethod
+    def of(cls, found: PeriodicSolution, estimate: ErrorEstimate, modes: int) -> Level:
+        """The level at which a solution was found, with so many modes."""
+        basis = found.problem.basis
+        return cls(basis.orders, basis.samples, found.unknowns, estimate, found.iterations, found.seconds, modes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,58 +172,32 @@ def solve_to_accuracy(
     if max(driven, default=0) > highest:
         raise ModelError(f"highest = {highest}; loads act at harmonic {max(driven)}: allow at least that")
     top = min(int(highest), max([int(first), *(2 * h for h in driven if h > 1)]))
-    density, dropped = float(SAMPLES), frozenset()
-    levels: list[Level] = []
+    knobs, levels, lost = Knobs(top), [], []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
-    solution, estimate, limit, remedy, springs = start, None, "", MORE, True
-    lost: list[int] = []
-    closed: ContactProblem | None = None  # what the level is to be closed by, where that found nothing without dashpots
-    most = int(highest)
+    solution, estimate, limit, remedy, most = start, None, "", MORE, int(highest)
     while not limit:
-        posed = pose_level(problem, top, density, dropped, springs and closed is None, solution)
-        chosen = posed.has_springs and not problem.has_springs
+        again = bool(levels) and len(modes) == levels[-1].modes
         try:
-            if levels and len(modes) == levels[-1].modes:
-                found = go_on(posed, solution, tolerance, cold=not chosen)
-            else:
-                found = solve(posed, solution, tolerance, fallbacks=not chosen)
+            found, knobs = solve_level(problem, knobs, solution, tolerance, again=again)
         except NotConverged as error:
-            if chosen:
-                closed = posed  # dashpots are sturdier, and may lead there
-                continue
-            closed = None
-            if not levels and density == SAMPLES:
-                density = MORE_SAMPLES * posed.basis.samples / max(1, top)  # few may be in the way of any solution
+            if not levels and knobs.density == SAMPLES:  # few may be in the way of any solution
+                knobs = replace(knobs, density=MORE_SAMPLES * knobs.samples / max(1, knobs.top))
                 continue
             if not levels:
                 raise
-            lost.append(top)
-            further = min(int(np.ceil(GROWTH[0] * top)), most)
-            if len(lost) < MOST_LOST and further > top:
-                top, springs = further, True  # a single set may be in the way, with springs and dashpots alike
+            lost.append(knobs.top)
+            further = min(int(np.ceil(GROWTH[0] * knobs.top)), most)
+            if len(lost) < MOST_LOST and further > knobs.top:
+                knobs = replace(knobs, top=further, springs=True)  # a single set may be in the way, with any closure
                 continue
             sets = " or ".join(map(str, lost))
             limit = f"no solution found with harmonics up to {sets}: {error.best.reason}"
             remedy = "ask for less, or solve with harmonics of your own, which takes every fallback"
             break
-        if closed is not None:  # springs that nothing leads to are not tried again
-            found = leave_dashpots(found, closed, tolerance)
-            springs, closed = found.problem is closed or "springs" not in closed.system.closures, None
-        tried += tuple(f"harmonics up to {top}: {rung}" for rung in found.fallbacks)
-        found = replace(found, fallbacks=tried)
-        before, solution, lost = solution if levels else None, found, []
+        tried += tuple(f"harmonics up to {knobs.top}: {rung}" for rung in found.fallbacks)
+        before, solution, lost = solution if levels else None, replace(found, fallbacks=tried), []
         estimate = judge(solution, before, levels, modes, accuracy, figure)
-        levels.append(
-            Level(
-                posed.basis.orders,
-                posed.basis.samples,
-                found.unknowns,
-                estimate,
-                found.iterations,
-                found.seconds,
-                len(modes),
-            )
-        )
+        levels.append(Level.of(solution, estimate, len(modes)))
         if estimate.total <= accuracy:
             break
         if estimate.dominating == "modes":
@@ -231,23 +206,20 @@ def solve_to_accuracy(
             else:
                 limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}"
         elif estimate.dominating == "samples":
-            density *= 2
-            if density > MOST_SAMPLES:
-                limit = f"{posed.basis.samples} samples a period still leave an error of {estimate.samples:.1g}"
+            knobs = replace(knobs, density=2 * knobs.density)
+            if knobs.density > MOST_SAMPLES:
+                limit = f"{levels[-1].samples} samples a period still leave an error of {estimate.samples:.1g}"
         else:
-            raised = max(
-                next_order(levels, accuracy, find_rate(solution.problem)), top + 2
-            )  # symmetry may make the next one zero
             needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
-            dropped |= set(posed.basis.orders) - needed
-            room = int((most_unknowns - found.unknowns) * (len(posed.basis.orders) - 0.5) / max(1, found.unknowns))
-            most = min(int(highest), top + room)
-            raised = min(raised, most)
-            if raised <= top:
+            room = (most_unknowns - found.unknowns) * (len(solution.orders) - 0.5) / max(1, found.unknowns)
+            most = min(int(highest), knobs.top + int(room))
+            wanted = next_order(levels, accuracy, find_rate(solution.problem))
+            raised = min(max(wanted, knobs.top + 2), most)  # symmetry may make the next one zero
+            if raised <= knobs.top:
                 hit = f"harmonic {highest} is the highest allowed"
-                full = f"more harmonics than {top} take more than {most_unknowns} unknowns"
-                limit = hit if top >= highest else full
-            top = raised
+                full = f"more harmonics than {knobs.top} take more than {most_unknowns} unknowns"
+                limit = hit if knobs.top >= highest else full
+            knobs = replace(knobs, top=raised, dropped=knobs.dropped | set(solution.orders) - needed)
     if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
         others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
         estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others, estimate.sliding)
@@ -278,68 +250,6 @@ def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
     if listed.ndim != 1 or len(set(listed)) < listed.size or not all(is_whole(m) and m < size for m in listed):
         raise ModelError(f"modes = {modes!r}; list the modal coordinates, each once, from 0 to {size - 1}")
     return tuple(int(m) for m in listed)
-
-
-def pose_level(
-    problem: ContactProblem,
-    top: int,
-    density: float,
-    dropped: frozenset[int],
-    springs: bool,
-    start: PeriodicSolution | None,
-) -> ContactProblem:
-    """The problem with harmonics up to ``top`` but for those ``dropped``, samples, weights and closure to match."""
-    posed = replace(problem, harmonics=top, samples=choose_samples(top, density))
-    if dropped:  # a list keeps harmonics that are zero by symmetry
-        needed = leave_out_idle(posed, start).basis.orders
-        posed = replace(posed, harmonics=tuple(h for h in needed if h not in dropped))
-    if problem.rho_tangential is not None or problem.has_springs or not problem.frequency:
-        return posed
-    if not springs:
-        return use_mobility(replace_masses(posed))
-    few, weighted = top <= FIRST_ORDER, use_mobility(posed)
-    if few and not posed.system.closures:  # no masses
-        return weighted
-    closed = replace(weighted, closure="spring")
-    closures = closed.system.closures
-    return weighted if not closures or (few and "springs" in closures) else closed
-
-
-def leave_dashpots(found: PeriodicSolution, closed: ContactProblem, tolerance: float) -> PeriodicSolution:
-    """The solution with springs and masses from that with dashpots, or the latter where nothing leads there."""
-    try:
-        closer = best = solve(closed, found, tolerance, fallbacks=False)
-    except NotConverged as error:
-        closer, best = error.best, found
-    iterations, seconds = found.iterations + closer.iterations, found.seconds + closer.seconds
-    return replace(best, fallbacks=found.fallbacks, iterations=iterations, seconds=seconds)
-
-
-def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:
-    """A solve from the solution with fewer harmonics; where that fails, from ``cold``, as next to a fold.
-
-    The ladder beyond is long, and hardly ever leads further there; the default weights may.
-
-    Raises:
-        NotConverged: No solution was found.
-    """
-    ways = [("given start", posed, before)]
-    if cold:
-        ways.append(("cold start", posed, None))
-        if (usual := use_default_weights(posed)) is not posed:
-            ways.append(("default weights", usual, None))
-    tried, steps = [], 0
-    for name, problem, start in ways:
-        try:
-            found = solve(problem, start, tolerance, fallbacks=False)
-        except NotConverged as error:
-            lost = error
-            tried.append(f"{name}: {lost.best.reason}")
-            steps += lost.best.iterations
-        else:
-            told = (*tried, f"{name}: {found.reason}") if tried else ()
-            return replace(found, fallbacks=told, iterations=steps + found.iterations)
-    raise lost
 
 
 def judge(

@@ -11,8 +11,8 @@ from hard_cases import Case, pose_case
 from small_models import dovetail, friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import accuracy as accuracy_module
 from ewr_fenicsx.accuracy import estimates
+from ewr_fenicsx.accuracy.accuracy import AccurateSolution
 from ewr_fenicsx.accuracy.estimates import (
     Look,
     choose_harmonics,
@@ -192,7 +192,7 @@ def test_full_stick_has_no_error():
 
 
 @lru_cache
-def rub_as_accurately_as(accuracy: float) -> accuracy_module.AccurateSolution:
+def rub_as_accurately_as(accuracy: float) -> AccurateSolution:
     return solve_to_accuracy(rub_and_lift_off(), accuracy)
 
 
@@ -235,7 +235,7 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
     def solve_late(problem, start, tolerance, **choice):
         return replace(solve(problem, start, tolerance, **choice), fallbacks=rungs if start is None else ())
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", solve_late)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", solve_late)
     found = solve_to_accuracy(rub_and_lift_off(), 0.01, first=3)
     assert len(found.levels) > 1
     assert found.solution.fallbacks == tuple(f"harmonics up to 3: {rung}" for rung in rungs)
@@ -284,10 +284,12 @@ def test_few_samples_that_lead_nowhere_are_raised(monkeypatch):
             raise NotConverged("nothing found", best=None)
         return solve(problem, *arguments, **settings)
 
-    monkeypatch.setattr(accuracy_module, "solve", fail_at_few)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", fail_at_few)
     found = solve_to_accuracy(rub_and_lift_off(), 0.03)
     assert found.reached and tried[:2] == [64, 256] and found.levels[0].samples == 256
-    monkeypatch.setattr(accuracy_module, "solve", lambda problem, *_, **__: fail_at_few(replace(problem, samples=64)))
+    monkeypatch.setattr(
+        "ewr_fenicsx.accuracy.levels.solve", lambda problem, *_, **__: fail_at_few(replace(problem, samples=64))
+    )
     with pytest.raises(NotConverged, match="nothing found"):
         solve_to_accuracy(rub_and_lift_off(), 0.03)
 

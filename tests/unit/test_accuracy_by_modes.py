@@ -9,7 +9,7 @@ import pytest
 from small_models import lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy import accuracy
+from ewr_fenicsx.accuracy import levels
 from ewr_fenicsx.accuracy.estimates import drop_modes, estimate_errors, estimate_modes, measure_distance
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
@@ -145,7 +145,7 @@ def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(
     judge = AccurateWear(problem, np.full(2, 1e-6), 0.1, 1e-8, choice)
     fresh = judge.begin(np.zeros(2))
     assert fresh.estimate > 0.1, "or there is no need for more"
-    find = accuracy.solve
+    find = levels.solve
 
     def fail_with_more(posed, *given, **options):
         if posed.model.size > 7:
@@ -153,7 +153,7 @@ def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(
         return find(posed, *given, **options)
 
     judge.choice["most_modes"] = 8
-    monkeypatch.setattr(accuracy, "solve", fail_with_more)
+    monkeypatch.setattr(levels, "solve", fail_with_more)
     for _ in range(2):
         looked_at = judge.look_at(fresh)
         assert asked.pop() == 2 and looked_at.solution.problem.model.size == 7

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
-from ewr_fenicsx.accuracy.accuracy import FIRST_ORDER, go_on, pose_level
-from ewr_fenicsx.accuracy.estimates import estimate_together, measure_distance
+from ewr_fenicsx.accuracy.estimates import FIRST_ORDER, estimate_together, measure_distance
+from ewr_fenicsx.accuracy.levels import Knobs, go_on, pose_level
 from ewr_fenicsx.balance.inexact_step import solve_inexactly
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.problem.dashpots import match_mobility, read_friction_weight, use_mobility
@@ -67,7 +67,7 @@ def test_where_springs_find_no_solution_dashpots_go_on(monkeypatch, truth_behind
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_springs)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_springs)
     found = solve_to_accuracy(rub_behind_springs(), 0.003, first=FIRST_ORDER)
     assert found.reached and not found.solution.problem.has_springs and not found.solution.fallbacks
     assert measure_distance(found.solution, truth_behind_springs) <= 0.003
@@ -86,7 +86,7 @@ def test_dashpots_lead_to_springs_that_are_not_found_by_themselves(monkeypatch, 
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_cold)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_cold)
     found = solve_to_accuracy(rub_behind_springs(), 0.002)
     assert found.reached and found.solution.problem.has_springs
     assert measure_distance(found.solution, truth_behind_springs) <= 0.002
@@ -102,7 +102,7 @@ def test_where_more_harmonics_find_no_solution_the_one_before_stays(monkeypatch)
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_many)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_many)
     found = solve_to_accuracy(rub_behind_springs(), 0.003, first=FIRST_ORDER)
     assert not found.reached and found.solution.orders[-1] == FIRST_ORDER and len(found.levels) == 1
     assert re.match(r"no solution found with harmonics up to \d+ or \d+: as if", found.limit), "two sets are tried"
@@ -120,7 +120,7 @@ def test_a_set_of_harmonics_without_a_solution_is_passed_over(monkeypatch, truth
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_one)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_one)
     found = solve_to_accuracy(rub_behind_springs(), 0.003, first=FIRST_ORDER)
     assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
     assert len(set(refused)) == 1 and found.levels[1].orders[-1] > refused[0]
@@ -134,7 +134,7 @@ def test_where_more_harmonics_are_not_found_from_few_a_cold_start_may_find_them(
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_warm)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_warm)
     found = solve_to_accuracy(rub_behind_springs(), 0.003)
     assert found.reached and measure_distance(found.solution, truth_behind_springs) <= 0.003
     assert [told.split(": ")[1] for told in found.solution.fallbacks[:2]] == ["given start", "cold start"]
@@ -147,8 +147,8 @@ def test_where_no_weight_of_its_own_leads_on_the_default_ones_may(monkeypatch, t
             raise NotConverged("as if", best=replace(found, reason="as if"))
         return found
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", refuse_own)
-    posed = pose_level(rub_behind_springs(), 9, 8.0, frozenset(), False, None)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", refuse_own)
+    posed = pose_level(rub_behind_springs(), Knobs(9, springs=False), None)
     found = go_on(posed, solve(rub_behind_springs()), 1e-8, cold=True)
     assert found.problem.rho_tangential is None
     assert [told.split(": ")[0] for told in found.fallbacks] == ["given start", "cold start", "default weights"]
@@ -161,7 +161,7 @@ def test_dashpots_stand_for_masses_where_these_find_no_solution():
         np.diag([1.0, 2.0]), 0.1 * np.eye(2), np.diag([3.0, 1.0]), tangential=np.eye(2), load={1: [1.0, 1.0]}
     )
     problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0, friction=0.3), 0.1)
-    closures = [pose_level(problem, 9, 8.0, frozenset(), springs, None).system.closures for springs in (True, False)]
+    closures = [pose_level(problem, Knobs(9, springs=springs), None).system.closures for springs in (True, False)]
     assert closures == [("masses",), ()]
 
 

@@ -95,7 +95,7 @@ def test_a_solve_that_fails_raises_or_returns_the_best_iterate(monkeypatch):
     def fail(*_, **__):
         raise NotConverged("as if", best=replace(best, converged=False))
 
-    monkeypatch.setattr("ewr_fenicsx.accuracy.accuracy.solve", fail)
+    monkeypatch.setattr("ewr_fenicsx.accuracy.levels.solve", fail)
     with pytest.raises(NotConverged, match="as if"):
         solve(JOINT, accuracy=0.1)
     assert not solve(JOINT, accuracy=0.1, raise_on_failure=False).converged

@@ -33,7 +33,7 @@ ORDER = {
         "snes", "initial_states", "time_integration", "continuation", "newton_path", "splitting", "growing_sets",
         "warm_starts", "long_splitting", "ladder", "growing_load", "faint_forces", "weights", "newton",
     ],
-    "accuracy": ["looking_ahead", "estimates", "accuracy", "solving", "cost"],
+    "accuracy": ["looking_ahead", "estimates", "levels", "accuracy", "solving", "cost"],
     "response": [
         "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep",
     ],
