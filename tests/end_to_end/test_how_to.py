@@ -23,13 +23,15 @@ SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT = re.findall(
 )
 
 
-@pytest.fixture(scope="module")
-def blocks(tmp_path_factory):
-    """Two blocks, with the damping of the page's script."""
+@pytest.fixture(scope="module", params=["force", "rotation"])
+def blocks(request, tmp_path_factory):
+    """Two blocks, with the damping of the page's script; pressed at the top, or by a load on every node."""
+    press = 'boundary = "top"\nforce = [0.0, -1000.0]'
+    spin = 'kind = "rotation"\nspeed = 300.0\ncentre = [0.0, 10.0]'
     path = tmp_path_factory.mktemp("blocks") / "blocks.toml"
-    path.write_text(
-        read_demo("two_blocks") + '\n[damping]\nkind = "rayleigh"\nalpha = 5.0\nbeta = 1e-7\n', encoding="utf-8"
-    )
+    text = read_demo("two_blocks") + '\n[damping]\nkind = "rayleigh"\nalpha = 5.0\nbeta = 1e-7\n'
+    assert press in text
+    path.write_text(text.replace(press, spin) if request.param == "rotation" else text, encoding="utf-8")
     return build_chain(load_scene(path))
 
 
