@@ -12,7 +12,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.floquet import find_growth, grows, list_unfollowed, settles, tell_where_to
 from ewr_fenicsx.in_time.stability import alternates, find_side
-from ewr_fenicsx.in_time.walking import measure_walk, watch_walk
+from ewr_fenicsx.in_time.walking import Walk, measure_walk, watch_walk
 from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.ignored import list_ignored
 from ewr_fenicsx.solution import indicators
@@ -136,8 +136,7 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem) + tell_history(self.problem, self.forces, self.rigid)
-        if self.rigid.size:
-            lines += self._tell_walk()
+        lines += [str(self.walks_slowly)] if self.walks_slowly else []
         if self.unstable:
             where_to = tell_where_to(self.problem, self.alternates, self.multiplier)
             unstable = f"unstable: motions in time leave it{where_to}"
@@ -148,13 +147,16 @@ class PeriodicSolution(PeriodicMotion):
             lines.append(unstable)
         return tuple(lines + self._list_unfollowed())
 
-    def _tell_walk(self) -> list[str]:
-        """Whether a body that hangs on friction walks a little every cycle, so that the motion is nearly periodic."""
+    @cached_property
+    def walks_slowly(self) -> Walk | None:
+        """How a body that hangs on friction walks a little every cycle, so that its mean means nothing; or None."""
+        if not (self.converged and self.rigid.size):
+            return None
         balance, unknowns = self._pose()
         if not balance.hangs_on_friction:
-            return []
+            return None
         walk = watch_walk(self.problem, balance, self.coordinates) or measure_walk(balance, unknowns)
-        return [str(walk)] if walk.slow else []
+        return walk if walk.slow else None
 
     def _list_unfollowed(self) -> list[str]:
         """Where the largest multiplier is not looked for because of what a law of one's own sees."""

@@ -22,6 +22,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.in_time import walking
 from ewr_fenicsx.in_time.walking import NOTICED, Walk, measure_walk, walks
+from ewr_fenicsx.runs import findings
 
 LIMIT = 0.3
 
@@ -108,6 +109,22 @@ def test_a_body_that_walks_slowly_is_told(loads):
     walk = measure(solution)
     assert 0.25 * walk.way < abs(drift(problem)) < 4 * walk.way, "its order"
     assert walk.sliding == pytest.approx(solution.merit["J_T"], rel=1e-2)
+
+
+def test_where_a_walking_body_is_on_average_is_no_large_motion(monkeypatch):
+    """Not of itself: a swing that is too large is told of a walking body as well."""
+    solution = solve(sled({0: 0.002, 1: 1.0}))
+    slip = solution.history("slip")
+    swing, mean = np.ptp(slip) / 2, abs(slip.mean())
+    assert mean > 1.5 * swing
+
+    def doubt(limit: float) -> list[str]:
+        monkeypatch.setattr(findings, "measure_spacing", lambda _: np.array([limit]))
+        return findings.doubt_small_motion(solution, None, limit)
+
+    assert doubt(1.2 * swing) == []
+    slides, moves = doubt(0.5 * swing)
+    assert "slide farther than their nodes are apart" in slides and moves.startswith("sled moves by up to")
 
 
 def block_on_feet(seed: int, harmonics: int) -> ContactProblem:
