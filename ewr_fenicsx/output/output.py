@@ -135,7 +135,7 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
         write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
         if name == "contact_state":
             domain.comm.barrier()
-            do_with_files(lambda: _round_series(folder / "contact_state.h5"), domain.comm)
+            do_with_files(lambda: _round_series(folder / "contact_state.h5"), domain.comm, folder)
     with _open_xdmf(folder / "mesh_tags.xdmf", domain) as file:
         for name, tags in (("bodies", chain.mesh.cell_tags), ("boundaries", chain.mesh.facet_tags)):
             tags.name = name

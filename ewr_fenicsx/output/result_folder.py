@@ -76,7 +76,7 @@ def result_folder(folder: Path, *, overwrite: bool = False, comm: MPI.Comm = MPI
         with _name_failure(folder):
             yield draft
         comm.barrier()
-        do_with_files(lambda: _move_into_place(draft, folder, overwrite), comm)
+        do_with_files(lambda: _move_into_place(draft, folder, overwrite), comm, folder)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
@@ -100,15 +100,20 @@ def read_times(folder: Path, scene: Mapping) -> dict[str, float] | None:
         return None
 
 
-def do_with_files(action: Callable[[], T], comm: MPI.Comm) -> T:
+def do_with_files(action: Callable[[], T], comm: MPI.Comm, folder: Path | str = "") -> T:
     """Does something with files on rank 0 alone; its value, or what it raises, is that of every rank.
+
+    Args:
+        action: What to do.
+        comm: Ranks that call.
+        folder: Named where the system does not say which file it was, as on a full disk.
 
     Raises:
         OutputError: ``action`` raised it, or an ``OSError``.
     """
 
     def name_failure() -> T:
-        with _name_failure():
+        with _name_failure(folder):
             return action()
 
     return do_on_rank_zero(name_failure, comm)

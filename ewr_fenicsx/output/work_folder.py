@@ -49,7 +49,7 @@ def take_up_model(folder: Path, model: ReducedModel, comm: MPI.Comm, own: str) -
         OutputError: On every rank. The folder holds another scene's work, that of another number of ranks, or files
             that no run wrote; or it cannot be made.
     """
-    begun = do_with_files(lambda: _take_up(folder, model, own, comm.size), comm)
+    begun = do_with_files(lambda: _take_up(folder, model, own, comm.size), comm, folder)
     return model if begun is None else begun
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import signal
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import dolfinx
 import pytest
@@ -151,6 +153,22 @@ def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
     assert code == 0 and len(calls) == 0 and f"ewr: found interrupted work in {partial}" in told
     assert ewr(out="unbroken")[0] == 0
     assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
+
+
+def test_a_disk_that_is_full_at_once_is_told_by_the_folder(ewr, scene, tmp_path, monkeypatch):
+    """A write that fails, unlike an open that does, comes without the name of its file."""
+    scene.write_text(STUDIES["wear"][0])
+
+    def refuse(*given, **named):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", refuse)
+        code, told = ewr()
+    place = tmp_path / "broken.partial"
+    assert code == 2
+    assert told.splitlines()[-1].startswith(f"ewr: cannot write results: {place}: No space left on device; make room")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
 def test_a_run_that_a_scheduler_ends_goes_on(ewr, scene, tmp_path, monkeypatch):
