@@ -90,6 +90,16 @@ def test_matrices_of_another_code_give_the_motion_of_the_scene(exported, blocks,
     assert found.merit["largest_normal_force"] == pytest.approx(expected.merit["largest_normal_force"], rel=1e-2)
 
 
+@pytest.mark.parametrize("rows", [lambda row: row + 1, lambda row: row // 2], ids=["from 1", "nodes"])
+def test_other_rows_than_those_of_u_x_are_refused(rows, exported):
+    """As where rows are counted from 1, or are numbers of nodes: the joint would be another one."""
+    pairs = np.loadtxt("pairs.csv", delimiter=",", skiprows=1)
+    pairs[:, :2] = rows(pairs[:, :2])
+    np.savetxt("pairs.csv", pairs, delimiter=",", header="a")
+    with pytest.raises(AssertionError, match=r"pairs\.csv"):
+        exec(compile(SCRIPT, "docs/how_to.md", "exec"), {})
+
+
 def test_a_joint_of_one_pair_is_read(tmp_path, monkeypatch):
     """One row of a file is a table as well: two masses on springs, pressed together by 10 N."""
     monkeypatch.chdir(tmp_path)
