@@ -90,6 +90,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         ("a valid ", "a "),
     ):
         message = message.replace(theirs, ours)
+    if message.endswith("a whole number") and isinstance(data, float) and data.is_integer():  # 1e6 is one
+        message = f"{message}, without point and exponent: {int(data)}"
     key = ".".join(path)
     shown = (isinstance(data, Mapping) and kind != "unknown_key") or not key
     return key if shown else f"{key} = {data!r}", message
