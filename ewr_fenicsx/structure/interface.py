@@ -243,10 +243,12 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
     if distance[worst] > tolerance * length or len(set(partner)) != len(partner):
+        apart = distance.min() > tolerance * length
+        clearance = "; a clearance is not drawn, but given as contact.initial_gap" if apart else ""
         raise InterfaceError(
             f'flank "{name}": the {body_a} node at {_tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
             f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
-            "the same end points and the same transfinite spacing"
+            f"the same end points and the same transfinite spacing{clearance}"
         )
     return a.take(order), b.take(partner)
 
