@@ -118,7 +118,8 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
         shown = limit > 0.05 * limit.max()
         share = solution.history("friction_force", SAMPLES) / np.where(shown, limit, 1.0)
         velocity = 1e3 * solution.history("slip_velocity", SAMPLES)
-        far = 1.1 * max(np.abs(velocity[:, rubs]).max(), LEAST["slip_velocity"])
+        fastest = np.abs(velocity[:, rubs]).max(initial=0.0, where=shown[:, rubs])  # open pairs are, and not drawn
+        far = 1.1 * max(fastest, LEAST["slip_velocity"])
         rows["slip velocity [mm/s]", RUBBING] = (
             velocity,
             share,

@@ -168,6 +168,18 @@ def test_pairs_are_drawn_in_the_units_that_the_axes_name(tmp_path, monkeypatch):
     np.testing.assert_allclose(sliding, [1e3 * velocity.T[shown.T], share], atol=1e-9)
 
 
+def test_what_is_not_drawn_is_no_scale(tmp_path, monkeypatch):
+    """Open pairs may be far faster than those that rub, as here where all that are fast are taken for open."""
+    (tmp_path / "scene.toml").write_text(write_blocks(shake=200.0))
+    study, figures = run_study(build_chain(load_scene(tmp_path / "scene.toml"))), []
+    speed = 1e3 * np.abs(study.solution.history("slip_velocity", plots.SAMPLES))
+    rubs = speed < 0.3 * speed.max()
+    monkeypatch.setattr(plots, "sample_friction_limit", lambda *_: np.where(rubs, 1.0, 0.0))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_contact_sets(tmp_path / "sets.png", study.chain.interface, study.solution)
+    assert speed[rubs].max() < figures[0].axes[1].get_xlim()[1] < 1.3 * speed[rubs].max()
+
+
 def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
     """Axes are then a thousandth of a micrometre wide, and their numbers long."""
     text = read_demo("blade_root")
