@@ -80,8 +80,9 @@ def frequency_response(
         accuracy: As in ``solve_to_accuracy``, of every solution. The curve is followed with ``harmonics``, then each of
             its points is solved again with as many as it takes. None: ``harmonics`` are what is used.
         modes: As in ``solve_to_accuracy``.
-        folder: Where results go: ``frequency_response.h5``, a CSV file a curve, and ``blocks/`` as points are found.
-            A run that was interrupted goes on from these, with the same result. None: nothing is written.
+        folder: Where results go: ``frequency_response.h5``, whose groups have the keys of ``laws`` as labels, a CSV
+            file a curve, numbered in the order of ``laws``, and ``blocks/`` as points are found. A run that was
+            interrupted goes on from these, with the same result. None: nothing is written.
         work: Where ``blocks/`` go in place of ``folder``; results do not, and their stability is not looked at.
         comm: Ranks that share the work.
         settings: Further arguments of ``ContactProblem``: samples, weights, closure, loads, wear.
