@@ -28,6 +28,9 @@ from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
 
 MOST_UNKNOWNS = 3000  # of a Jacobian whose determinant is looked at: a second
+# A highest harmonic, at least, at which it is looked who opens and closes: with the few of a solution that is to be
+# accurate to some per cent, instants are so far off that the sign is that of another stiffness.
+SAMPLES = 64
 SINGULAR = 1e-12  # smallest pivot over the largest, below which rounding decides the sign: redundant pairs
 
 
@@ -63,6 +66,7 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
     if not count:
         return False
+    system = see_often(system)
     solved, unknowns = pose_at(system, forces, rigid)
     try:
         between = HarmonicBalance(see_between(system, count), solved.force_unit)
@@ -71,6 +75,13 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     derivatives = solved.linearise(unknowns).derivatives
     step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
     return find_sign(step.matrix()) < 0
+
+
+def see_often(system: ContactSystem) -> ContactSystem:
+    """The system at ``SAMPLES`` a highest harmonic or more, its own among them."""
+    basis = system.basis
+    times = -(-SAMPLES * basis.orders[-1] // basis.samples)
+    return replace(system, basis=FourierBasis(basis.orders, max(1, times) * basis.samples))
 
 
 def see_between(system: ContactSystem, count: int) -> ContactSystem:

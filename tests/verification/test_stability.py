@@ -9,7 +9,7 @@ import pytest
 from checked_solutions import find_turns
 from small_models import PROBLEMS, dovetail, repeat_first_pair, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, frequency_response, integrate, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
@@ -129,6 +129,21 @@ def test_motions_in_time_leave_what_alternates(frequency, damping, alternates):
     steady = integrate(found.problem, found, steps=1024, periods=150, tolerance=1e-7, theta=0.52)
     here, there = abs(found.output("tip")[1]), abs(steady.output("tip")[1])
     assert steady.converged == (not alternates) == (abs(there / here - 1) < 5e-3)
+
+
+@pytest.mark.parametrize("samples", [72, 128, 288])
+def test_few_samples_do_not_hide_what_alternates(samples):
+    """A stop touched for a thirteenth of the period: exact solutions between events give the multiplier -1.82."""
+    spring, stop = 1.4397e5, 2.7608e6
+    model = ReducedModel(
+        np.diag([1.0, 0.0]),
+        np.diag([26.264, 0.0]),
+        [[spring + stop, -stop], [-stop, stop]],
+        normal=[[0.0, -1.0]],
+        load={0: [-38.902, 0.0], 1: [93.128, 0.0]},
+    )
+    laws = ContactLaws(tangential="frictionless", initial_gap=1e-3)
+    assert solve(ContactProblem(model, laws, 47.8772, harmonics=9, samples=samples)).alternates
 
 
 def test_a_curve_marks_what_alternates():
