@@ -277,9 +277,15 @@ def find_versions() -> dict[str, str]:
 
 def find_git_revision() -> str | None:
     """Revision of the checkout that this package runs from; None where it is installed without one."""
-    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    here = Path(__file__)
+
+    def ask(*arguments: str) -> str:
+        command = ["git", "-C", str(here.parent), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
     try:
-        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+        ask("ls-files", "--error-unmatch", here.name)  # no file of ours: a virtual environment in another's checkout
+        return ask("describe", "--always", "--dirty", "--abbrev=40")
     except (OSError, subprocess.CalledProcessError):
         return None
 
