@@ -19,6 +19,7 @@ from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.solver.weights import use_default_weights
 
 SAMPLES = 8  # a highest harmonic, to begin with
+SMALL = 500  # unknowns, up to which some periods of time stepping take no longer than the solves that failed
 
 
 @dataclass(frozen=True)
@@ -109,25 +110,26 @@ def leave_dashpots(found: PeriodicSolution, closed: ContactProblem, tolerance: f
 def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, cold: bool) -> PeriodicSolution:
     """A solve from the solution with fewer harmonics; where that fails, from ``cold``, as next to a fold.
 
-    The ladder beyond is long, and hardly ever leads further there; the default weights may.
+    The ladder beyond is long, and hardly ever leads further there; the default weights may, and in small joints the
+    first rung from these.
 
     Raises:
         NotConverged: No solution was found.
     """
+    usual = use_default_weights(posed)
     ways = [("given start", posed, before)]
     if cold:
-        ways.append(("cold start", posed, None))
-        if (usual := use_default_weights(posed)) is not posed:
-            ways.append(("default weights", usual, None))
-    tried, steps = [], 0
+        ways += [("cold start", posed, None), ("default weights", usual, None)][: 1 + (usual is not posed)]
+    tried, steps, small = [], 0, False
     for name, problem, start in ways:
         try:
-            found = solve(problem, start, tolerance, fallbacks=False)
+            found = solve(problem, start, tolerance, fallbacks=1 if small and problem is usual else False)
         except NotConverged as error:
-            lost = error
+            lost, small = error, error.best.unknowns <= SMALL
             tried.append(f"{name}: {lost.best.reason}")
             steps += lost.best.iterations
         else:
-            told = (*tried, f"{name}: {found.reason}") if tried else ()
+            tried += [f"{name}: {rung}" for rung in found.fallbacks or [found.reason]]
+            told = tuple(tried) if len(tried) > 1 else ()
             return replace(found, fallbacks=told, iterations=steps + found.iterations)
     raise lost

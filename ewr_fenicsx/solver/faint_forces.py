@@ -41,8 +41,8 @@ def attend_to_faint_forces(
     closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
     steps = found.iterations + taken + closer.iterations
     if closer.walks:  # so faintly held that only a closer look tells
-        return replace(closer, iterations=steps)
-    return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True)
+        return replace(closer, iterations=steps, detour=found.detour)
+    return replace(min(closer, found), iterations=steps, reason=found.reason, converged=True, detour=found.detour)
 
 
 def find_missed(balance: HarmonicBalance, unknowns: RealArray, tolerance: float) -> RealArray:

@@ -52,7 +52,7 @@ LOOSEST = 1e-3  # tolerance above which even a start may pass for a solution
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
-USUAL_WAY = "from the default weights and dashpots"  # told even where it is the first way, as for weights far off
+USUAL_WAY = "from the default weights and dashpots"
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
 
@@ -63,7 +63,7 @@ def solve(
     tolerance: float = 1e-8,
     *,
     linear_solver: LinearSolver = "elimination",
-    fallbacks: bool = True,
+    fallbacks: bool | int = True,
     raise_on_failure: bool = True,
 ) -> PeriodicSolution:
     """Periodic solution of a contact problem.
@@ -88,7 +88,8 @@ def solve(
             they are where gaps stay open and nothing resonates, times three, if that is less; from 1e-13 to 1e-3.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
-        fallbacks: Whether to go on to the next rung where the first one fails: the given start, cold the first climb.
+        fallbacks: Whether to go on to the next rung where the first one fails (the given start, cold the first climb),
+            or to how many more.
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
@@ -127,16 +128,16 @@ def solve(
     if system.rows.shape[0]:
         balance = HarmonicBalance(system)
         rungs = list_rungs(problem, balance, start, tolerance, linear_solver, fallbacks)
-        for name, rung in rungs if fallbacks else islice(rungs, 1):
+        for name, rung in islice(rungs, None if fallbacks is True else 1 + fallbacks):
             attempts.append(rung(best))
-            tried.append(f"{name}: {attempts[-1].reason}")
+            tried.append(f"{name}: {attempts[-1].told}")
             if attempts[-1].converged or attempts[-1].walks:
                 attempts[-1] = attend_to_faint_forces(balance, attempts[-1], tolerance, linear_solver)
                 break
             best = min(best or begin_at_full_stick(balance), attempts[-1])
     if attempts and attempts[-1].usual:
         asked, problem = use_default_weights(asked), use_default_weights(problem)
-    fell_back = tuple(tried) if len(tried) > 1 or any(told.startswith(USUAL_WAY) for told in tried) else ()
+    fell_back = tuple(tried) if len(tried) > 1 or any(a.usual or a.detour for a in attempts) else ()
     end = time.perf_counter()
     solution = include_idle(wrap(problem, balance, attempts, fell_back, end - begin), asked)
     iterated = balance is not None and not balance.linear
@@ -306,14 +307,14 @@ def leave_default_weights(
     """Solve with the default weights, then follow the solution to the problem's own; stay where that leads nowhere."""
     usual = use_default_weights(problem)
     solution = solve(usual, start, tolerance, linear_solver=linear_solver, raise_on_failure=False)
-    tried = f" (with these: {'; '.join(solution.fallbacks)})" if solution.fallbacks else ""
     unknowns = balance.pack(solution.forces, solution.rigid)
     found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
+    found = replace(found, detour=solution.fallbacks)
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
-        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}{tried}")
+        return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
     last = approach_weights(balance, solution, tolerance, linear_solver)
-    last = replace(last, iterations=found.iterations + last.iterations, reason=last.reason + tried)
+    last = replace(last, iterations=found.iterations + last.iterations, detour=solution.fallbacks)
     if last.converged:
         return last
     return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")

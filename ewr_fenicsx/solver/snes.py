@@ -49,6 +49,7 @@ class Attempt:
 
     ``walks``: what it found is no periodic motion, and no other way to one is worth trying (``walking.py``).
     ``usual``: what it found holds with default weights and dashpots, in place of what the problem asks for.
+    ``detour``: rungs that were tried with these on the way to it; none where the first one did.
     """
 
     unknowns: RealArray
@@ -58,6 +59,12 @@ class Attempt:
     converged: bool
     walks: bool = False
     usual: bool = False
+    detour: tuple[str, ...] = ()
+
+    @property
+    def told(self) -> str:
+        """Why it stopped, and the detour, for people."""
+        return self.reason + (f" (with these: {'; '.join(self.detour)})" if self.detour else "")
 
     def __lt__(self, other: Attempt) -> bool:
         """Whether it left less over; anything is less than no number."""

@@ -242,6 +242,30 @@ def test_a_fallback_of_the_first_solve_is_not_forgotten(monkeypatch):
     assert "there may be other solutions" in found.summary()
 
 
+def test_where_newton_stalls_on_a_small_joint_time_stepping_leads_on():
+    """A springy stop under two harmonics: neither warm nor cold starts find a solution with more than five of them.
+
+    The truth is exact, from matrix exponentials between events.
+    """
+    spring, stop = 1.61142e5, 8.32193e5
+    model = ReducedModel(
+        np.diag([1.0, 0.0]),
+        np.diag([24.024, 0.0]),
+        [[spring + stop, -stop], [-stop, stop]],
+        normal=[[0.0, -1.0]],
+        load={0: [23.236, 0.0], 1: [170.695, 0.0], 2: [35.768 + 4.2768j, 0.0]},
+        outputs={"x": [1.0, 0.0]},
+    )
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless"), 20.8662)
+    with pytest.raises(NotConverged):
+        solve(replace(problem, harmonics=13), fallbacks=False)
+    found = solve_to_accuracy(problem, 0.01)
+    assert found.reached
+    assert any("time stepping" in rung for rung in found.solution.fallbacks)
+    amplitude = np.abs(found.solution.output("x")[:3])
+    assert amplitude == pytest.approx([2.19183e-4, 5.20870e-4, 1.11615e-4], rel=0.01)
+
+
 @pytest.mark.parametrize(("accuracy", "order"), [(0.1, 3), (0.02, 3), (0.01, 5)])
 def test_a_fine_accuracy_begins_with_more_harmonics(accuracy, order):
     """Three hardly ever meet it: their solve, and the look at its error, are spared."""
