@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
@@ -14,6 +16,15 @@ from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
 _WINDOW = 6  # periods that the extrapolation looks back on
+_STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
+
+
+def count_missing(changes: Sequence[float], tolerance: float) -> int:
+    """Periods missing to a tolerance where each one changes less than the one before; 0 where not, or none is set."""
+    last = np.array(changes[-_STEADILY - 1 :])
+    if not tolerance or last.size <= _STEADILY or not np.all(last > 0) or not np.all(np.diff(last) < 0):
+        return 0
+    return int(np.ceil(_STEADILY * np.log(tolerance / last[-1]) / np.log(last[-1] / last[0])))
 
 
 class Watch:

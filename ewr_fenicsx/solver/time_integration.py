@@ -11,7 +11,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
-from ewr_fenicsx.in_time.periodicity import Anderson, Watch, walks_on
+from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, walks_on
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
@@ -330,6 +330,8 @@ def integrate(
                 reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
             elif follows and tolerance and watch.second_change <= tolerance:
                 reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
+            elif not acceleration and (missing := count_missing(changes, tolerance)):
+                reason += f"; what a period changes falls steadily: some {missing} more may do"
             elif tolerance and theta == UNDAMPED:
                 reason += _RINGS
     if last.unsolved:

@@ -163,7 +163,8 @@ def evolve_wear(
         problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
         cycles: Number of cycles to follow.
         coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear.
-        jump: Error control of jumps over many cycles at once; None: every cycle is solved.
+        jump: Error control of jumps over many cycles at once, ``Tolerance()`` as a scene has it; None: every cycle is
+            solved.
         keep_every: Steps are kept at least so many cycles apart; the first and last always are.
         deepest: Stop where some pair has worn deeper than this [m].
         file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from small_models import stop_oscillator
+from small_models import friction_oscillator, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.solver.time_integration import State, integrate
@@ -226,6 +227,17 @@ def test_without_a_tolerance_all_periods_are_stepped():
     result = integrate(at_rest, steps=64, periods=7, tolerance=0)
     assert result.periods == 7 and result.reason == "not steady after 7 periods"
     assert integrate(at_rest, steps=64, periods=7).periods < 7
+
+
+def test_a_motion_that_decays_says_how_many_more_periods_it_takes():
+    """A transient of 2 % a period beside little sliding; a few periods tell nothing yet."""
+    problem = ContactProblem(friction_oscillator(damping=0.03), ContactLaws("prescribed", normal_force=1e-3), 0.11)
+    asked = {"tolerance": 1e-4, "steps": 200}
+    assert "more may do" not in integrate(problem, periods=8, **asked).reason
+    begun = integrate(problem, periods=60, **asked)
+    missing = int(re.search(r"falls steadily: some (\d+) more may do$", begun.reason)[1])
+    whole = integrate(problem, periods=60 + 2 * missing, **asked)
+    assert whole.converged and whole.periods - 60 == pytest.approx(missing, rel=0.2)
 
 
 def step_with_siconos(problem: ContactProblem, start: State, steps: int) -> tuple[np.ndarray, np.ndarray]:
