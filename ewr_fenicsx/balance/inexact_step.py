@@ -16,6 +16,7 @@ from petsc4py import PETSc
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.elimination import invert_steady
 from ewr_fenicsx.balance.newton_step import Factorisation, NewtonStep
+from ewr_fenicsx.balance.petsc_calls import call_petsc
 from ewr_fenicsx.given import RealArray
 
 FEW = 1500  # unknowns that no elimination takes out, below which the exact step is cheaper
@@ -74,7 +75,7 @@ def iterate(
     b, x = (PETSc.Vec().createSeq(size, comm=comm) for _ in range(2))
     try:
         b.array[:] = right_side
-        ksp.solve(b, x)
+        call_petsc(ksp.solve, b, x)
         return x.array.copy() if ksp.getConvergedReason() > 0 else None
     finally:
         for item in (pc, ksp, matrix, b, x):  # with pc or ksp left, the preconditioner stays, with its factors

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from traceback import clear_frames
 from typing import Literal
 
 import numpy as np
@@ -14,6 +13,7 @@ from petsc4py import PETSc
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.inexact_step import is_large, iterate
 from ewr_fenicsx.balance.newton_step import Factorisation
+from ewr_fenicsx.balance.petsc_calls import call_petsc
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.walking import WALKS, walks
 
@@ -170,11 +170,7 @@ class _Newton:
         if self.limit is not None:
             self.snes.setTolerances(max_it=min(self.limit, self.snes.getTolerances()[3]))
         self.x.array[:] = start
-        try:
-            self.snes.solve(None, self.x)
-        except BaseException as error:  # its frames hold what PETSc must not find alive when it ends: a crash at exit
-            clear_frames(error.__traceback__)
-            raise
+        call_petsc(self.snes.solve, None, self.x)
         code, steps = self.snes.getConvergedReason(), self.snes.getIterationNumber()
         found = self.x.array.copy()
         residual = float(np.linalg.norm(balance.residual(found)))

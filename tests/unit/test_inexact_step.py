@@ -57,6 +57,19 @@ def test_what_is_left_is_within_the_tolerance(step):
     assert np.linalg.norm(found - exact) < 0.2 * np.linalg.norm(exact)
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_what_ends_it_comes_out_as_it_was_raised(step, monkeypatch, error):
+    """PETSc 3.22 makes an error of its own of it, Ctrl-C or not."""
+
+    def stop(*_):
+        raise error
+
+    monkeypatch.setattr(inexact_step._Uncoupled, "mult", stop)
+    with pytest.raises(error) as told:
+        solve_inexactly(step)
+    assert told.value.__context__ is None
+
+
 def test_where_iterations_do_not_suffice_the_step_is_exact(step, monkeypatch):
     monkeypatch.setattr(inexact_step, "ITERATIONS", 1)
     np.testing.assert_array_equal(solve_inexactly(step), step.solve(step.residual))
