@@ -26,6 +26,7 @@ SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 150  # -ewr_snes_max_it
 TAKE_OVER = 1e-6  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
+NEED_MATRIX = ("newtontr", "newtontrdc", "vinewtonssls")  # its transpose, or scaled rows; as PETSc's preconditioners do
 SMALLEST_DAMPING = 1e-6  # of a Newton step
 # Above these residuals, it must fall below this share of itself over so many steps: runs that creep from kink to kink
 # end at a corner without a solution. Where next to nothing is left, Newton may creep and still arrive, in joints that
@@ -134,7 +135,8 @@ class _Newton:
     """A SNES for balances with the same unknowns, its linear solver set up by name; to be closed."""
 
     def __init__(self, balance: HarmonicBalance, linear_solver: LinearSolver, limit: int | None):
-        if PETSc.Options("ewr_").hasName("pc_type"):  # a PETSc preconditioner needs the matrix
+        options = PETSc.Options("ewr_")
+        if options.hasName("pc_type") or options.getString("snes_type", "") in NEED_MATRIX:
             linear_solver = "dense"
         comm = PETSc.COMM_SELF
         self.limit, self.equations = limit, _Equations()

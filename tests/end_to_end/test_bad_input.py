@@ -15,6 +15,7 @@ from small_scenes import BLOCKS, write_blocks
 from ewr_fenicsx import solve
 from ewr_fenicsx.cli import main, parse_arguments
 from ewr_fenicsx.runs.petsc_options import check_options
+from ewr_fenicsx.solver.snes import NEED_MATRIX
 
 MIXED_CELLS = '''
 import gmsh
@@ -257,7 +258,7 @@ def test_an_option_that_would_fail_in_the_midst_of_the_work_is_refused_before(ew
         "-ewr_snes_monitor -ewr_snes_view -ewr_ksp_view",
         "-ewr_snes_test_jacobian",
         "-ewr_snes_type newtonls -ewr_snes_linesearch_type bt",
-        "-ewr_snes_type newtontr",
+        *(f"-ewr_snes_type {kind}" for kind in NEED_MATRIX),
         "-ewr_pc_type lu",
         "-ewr_pc_type none -ewr_ksp_type gmres -ewr_ksp_rtol 1e-12 -ewr_ksp_gmres_restart 300",
         "-ewr_snes_max_it 30",
