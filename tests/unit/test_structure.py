@@ -26,7 +26,7 @@ ORDER = {
         "harmonics", "closure", "layout", "contact_system", "composition", "contact_problem", "dashpots", "ignored",
         "law_claims",
     ],
-    "balance": ["law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
+    "balance": ["petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
     "in_time": ["time_stepping", "periodicity", "deviations", "hill", "floquet", "stability", "walking"],
     "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
     "solver": [
