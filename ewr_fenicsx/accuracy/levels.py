@@ -119,7 +119,9 @@ def go_on(posed: ContactProblem, before: PeriodicSolution, tolerance: float, *, 
     usual = use_default_weights(posed)
     ways = [("given start", posed, before)]
     if cold:
-        ways += [("cold start", posed, None), ("default weights", usual, None)][: 1 + (usual is not posed)]
+        ways.append(("cold start", posed, None))
+    if cold and usual is not posed:
+        ways.append(("default weights", usual, None))
     tried, steps, small = [], 0, False
     for name, problem, start in ways:
         try:

@@ -174,7 +174,7 @@ class PeriodicMotion:
         return {direction: self._move_apart(direction) for direction in self.problem.model.tangent_directions}
 
     def _move_apart(self, direction: str) -> ComplexArray:
-        """Amplitudes ``(n_h, K_c)`` of how the sides of all pairs move along a direction, A relative to B [m].
+        """Amplitudes ``(n_h, K_c)`` of what the model's rows of a direction say of all pairs: opening, or slip [m].
 
         Where a force is sought, the compliance has told; the whole model need not be moved for that.
         """
