@@ -190,7 +190,8 @@ def describe_hard_cases(found: dict) -> list[str]:
         f"""A sample of the blade root and two smaller joints, cold and without tuning (`benchmarks/hard_cases.py`):
 frequencies from 0.3 to 3 times the first full-stick mode, loads from full stick to flanks that lift off, friction 0.01
 to 1.5, damping ratios 1e-4 to 5e-2, gaps, and weights rho up to a thousandfold off (`rho`: normal and tangential, over
-the defaults; `load`: oscillating over mean contact forces if all pairs held, at that frequency, or "applied" slowly). The sample (seed {found["seed"]}) was drawn after the solver was made: nothing was tuned on it, though
+the defaults; `load`: oscillating over mean contact forces if all pairs held, at that frequency, or "applied" slowly).
+The sample (seed {found["seed"]}) was drawn after the solver was made: nothing was tuned on it, though
 a defect that it shows may have been mended.
 Converged means a residual below 1e-8, evaluated anew; others end with a reason, or after
 {found["cap_seconds"]:g} s of work. "Mean corners" are those of
