@@ -151,19 +151,26 @@ def transform_coordinates(model: ReducedModel, basis: np.ndarray) -> ReducedMode
     )
 
 
-def stop_oscillator(*, excitation: complex = 0.08, damping: float = 0.04, stop_stiffness: float = 1.0) -> ReducedModel:
+def stop_oscillator(
+    *,
+    excitation: complex = 0.08,
+    damping: float = 0.04,
+    stiffness: float = 1.0,
+    stop_stiffness: float = 1.0,
+    load: Mapping[int, complex] | None = None,
+) -> ReducedModel:
     """One mass on a spring that meets a springy stop: the stop's massless end touches a wall across an initial gap.
 
-    ``x'' + damping x' + x + stop_stiffness max(0, x - gap) = excitation cos``: as the gap closes the resonance bends to
-    higher frequencies and its curve folds.
+    ``x'' + damping x' + stiffness x + stop_stiffness max(0, x - gap) = excitation cos``, or another ``load``, harmonic
+    -> amplitude: as the gap closes the resonance bends to higher frequencies and its curve folds.
     """
-    k = stop_stiffness
+    k, load = stop_stiffness, {1: excitation} if load is None else load
     return ReducedModel(
         mass=np.diag([1.0, 0.0]),
         damping=np.diag([damping, 0.0]),
-        stiffness=[[1.0 + k, -k], [-k, k]],
+        stiffness=[[stiffness + k, -k], [-k, k]],
         normal=[[0.0, -1.0]],
-        load={1: [excitation, 0.0]},
+        load={h: [amplitude, 0.0] for h, amplitude in load.items()},
         outputs={"tip": [1.0, 0.0]},
     )
 

@@ -128,7 +128,8 @@ def solve_to_accuracy(
     Masses that rub by themselves close the truncation of Coulomb's law, and above harmonic 3 springs do where joints
     are elastic, as long as they find a solution, or dashpots lead to one.
     Only the first solve, and the first with more modes, take the whole ladder: where more harmonics lead nowhere
-    without, a larger set is tried once, and where it fails as well, what was found before stays.
+    without (in small joints time stepping is tried), a larger set is tried once, and where it fails as well, what was
+    found before stays.
 
     Args:
         problem: The problem; its own harmonics (which must hold its loads) and samples are not used; a weight

@@ -81,7 +81,7 @@ def see_often(system: ContactSystem) -> ContactSystem:
     """The system at ``SAMPLES`` a highest harmonic or more, its own among them."""
     basis = system.basis
     times = -(-SAMPLES * basis.orders[-1] // basis.samples)
-    return replace(system, basis=FourierBasis(basis.orders, max(1, times) * basis.samples))
+    return replace(system, basis=FourierBasis(basis.orders, times * basis.samples))
 
 
 def see_between(system: ContactSystem, count: int) -> ContactSystem:

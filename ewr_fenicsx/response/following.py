@@ -105,10 +105,10 @@ def solve_from(
     if not problem.system.rows.shape[0]:
         return solve(problem)
     balance = HarmonicBalance(problem.system)
-    forces, motion, rigid = latest.forces, read_motion(latest), latest.rigid
+    forces, motion, rigid = latest.forces, latest.row_motion, latest.rigid
     if earlier is not None:
         forces = forces + ratio * (forces - earlier.forces)
-        motion = motion + ratio * (motion - read_motion(earlier))
+        motion = motion + ratio * (motion - earlier.row_motion)
         rigid = rigid + ratio * (rigid - earlier.rigid)
     starts = list_predicted(balance, forces, motion, rigid)
     attempt = try_starts(balance, starts, tolerance, "elimination", NEWTON_STEPS)
@@ -116,16 +116,11 @@ def solve_from(
     return wrap(problem, balance, [attempt], (), time.perf_counter() - begin)
 
 
-def read_motion(solution: PeriodicSolution) -> ComplexArray:
-    """Motion amplitudes ``(n_h, m)`` of the contact rows [m]."""
-    return solution.problem.system.compliance.motion(solution.forces, solution.rigid)
-
-
 def read_state(solution: PeriodicSolution) -> ComplexArray:
     """What oscillates at the contact rows, ``(n_h, m)`` [m]: motion, and force by flexibility, where one may vanish."""
     system = solution.problem.system
     oscillates = np.array(system.basis.orders)[:, None] > 0
-    return oscillates * (read_motion(solution) + system.flexibility * solution.forces)
+    return oscillates * (solution.row_motion + system.flexibility * solution.forces)
 
 
 def compare_states(a: ComplexArray, b: ComplexArray) -> float:

@@ -51,6 +51,11 @@ class PeriodicMotion:
         return self.problem.system.compliance.output(name, self.forces, self.rigid)
 
     @cached_property
+    def row_motion(self) -> ComplexArray:
+        """Amplitudes ``(n_h, m)`` of the rows of ``problem.system``, where forces are sought [m]."""
+        return self.problem.system.compliance.motion(self.forces, self.rigid)
+
+    @cached_property
     def coordinates(self) -> ComplexArray:
         """Amplitudes of the reduced coordinates, ``(n_h, n)``."""
         system = self.problem.system
@@ -63,7 +68,7 @@ class PeriodicMotion:
             modes = system.model.rigid_modes
             rows = np.vstack([system.rows, *system.model.outputs.values()])
             outputs = [system.compliance.output(n, self.forces, self.rigid)[0].real for n in system.model.outputs]
-            wanted = np.concatenate([system.compliance.motion(self.forces, self.rigid)[0].real, outputs])
+            wanted = np.concatenate([self.row_motion[0].real, outputs])
             amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]
         return amplitudes @ system.expansion.T
 
@@ -178,10 +183,10 @@ class PeriodicMotion:
 
         Where a force is sought, the compliance has told; the whole model need not be moved for that.
         """
-        model, system = self.problem.model, self.problem.system
-        rows = system.row_of(direction, np.arange(model.pairs))
+        model = self.problem.model
+        rows = self.problem.system.row_of(direction, np.arange(model.pairs))
         apart, sought = np.zeros((len(self.orders), model.pairs), dtype=complex), rows >= 0
-        apart[:, sought] = system.compliance.motion(self.forces, self.rigid)[:, rows[sought]]
+        apart[:, sought] = self.row_motion[:, rows[sought]]
         if not np.all(sought):
             apart[:, ~sought] = self.coordinates @ model.rows(direction)[~sought].T
         return apart
@@ -198,8 +203,7 @@ class PeriodicMotion:
             return []
         stride = self._find_stride(basis.samples)
         often = FourierBasis(basis.orders, stride * basis.samples)
-        motion = system.compliance.motion(self.forces, self.rigid)
-        seen = HarmonicBalance(system).sample(self.forces, motion, often)
+        seen = HarmonicBalance(system).sample(self.forces, self.row_motion, often)
         reported = [law.fields(motion) for motion, law in zip(seen, system.laws, strict=True)]
         thin = [{name: values[::stride] for name, values in fields.items()} for fields in reported]
         return list(zip(system.laws, thin, strict=True))

@@ -224,7 +224,7 @@ class PeriodicSolution(PeriodicMotion):
         if not harmonics or not self.problem.system.laws or not np.any(self.forces):
             return 0.0, 0
         balance, wave = self._pose()[0], FourierBasis(tuple(harmonics), self.problem.basis.samples)
-        seen = balance.sample(self.forces, balance.compliance.motion(self.forces, self.rigid))
+        seen = balance.sample(self.forces, self.row_motion)
         unmet = [law.evaluate(motion).residual for law, motion in zip(self.problem.system.laws, seen, strict=True)]
         size = np.linalg.norm(wave.to_amplitudes(wave.project(np.hstack(unmet))), axis=1)
         share = size / max(np.linalg.norm([*size, np.linalg.norm(self.forces[np.array(self.orders) > 0])]), TINY)

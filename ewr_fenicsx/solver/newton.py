@@ -52,7 +52,6 @@ LOOSEST = 1e-3  # tolerance above which even a start may pass for a solution
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
-USUAL_WAY = "from the default weights and dashpots"
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
 
@@ -161,7 +160,7 @@ def list_rungs(
     start: PeriodicSolution | None,
     tolerance: float,
     linear_solver: LinearSolver,
-    fallbacks: bool = True,
+    fallbacks: bool | int = True,
 ) -> Iterator[tuple[str, Callable[[Attempt | None], Attempt]]]:
     """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
 
@@ -179,7 +178,7 @@ def list_rungs(
     cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
     if own:  # the default ones take all rungs that there are
         given = (problem, balance, start, tolerance, linear_solver)
-        usual = USUAL_WAY, lambda _: leave_default_weights(*given)
+        usual = "from the default weights and dashpots", lambda _: leave_default_weights(*given)
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
@@ -308,13 +307,13 @@ def leave_default_weights(
     usual = use_default_weights(problem)
     solution = solve(usual, start, tolerance, linear_solver=linear_solver, raise_on_failure=False)
     unknowns = balance.pack(solution.forces, solution.rigid)
-    found = Attempt(unknowns, solution.residual, solution.iterations, solution.reason, solution.converged)
-    found = replace(found, detour=solution.fallbacks)
+    known = solution.residual, solution.iterations, solution.reason, solution.converged
+    found = Attempt(unknowns, *known, detour=solution.fallbacks)
     if not found.converged:
         residual = float(np.linalg.norm(balance.residual(unknowns)))
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
     last = approach_weights(balance, solution, tolerance, linear_solver)
-    last = replace(last, iterations=found.iterations + last.iterations, detour=solution.fallbacks)
+    last = replace(last, iterations=found.iterations + last.iterations, detour=found.detour)
     if last.converged:
         return last
     return replace(found, iterations=last.iterations, usual=True, reason=f"solved with these only: {last.reason}")

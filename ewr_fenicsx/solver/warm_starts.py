@@ -35,7 +35,7 @@ def carry_over(start: PeriodicSolution, balance: HarmonicBalance) -> tuple[Compl
     shape = (len(balance.basis.orders), balance.rows)
     forces, motion = np.zeros(shape, dtype=complex), np.zeros(shape, dtype=complex)
     there = start.problem.system
-    moved = there.compliance.motion(start.forces, start.rigid)
+    moved = start.row_motion
     kept = [(j, start.orders.index(h)) for j, h in enumerate(balance.basis.orders) if h in start.orders]
     for direction, known in start.pair_forces.items():
         pairs = np.arange(known.shape[1])

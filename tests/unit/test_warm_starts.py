@@ -46,7 +46,7 @@ def test_two_neighbours_predict_what_is_linear_along_their_branch(monkeypatch):
     monkeypatch.setattr(following, "list_predicted", lambda _, *given: predicted.extend(given) or predict(_, *given))
     found = following.solve_from(exact.problem, second, first, ratio=2.0)
     assert found.converged and exact.merit["tension"] == 0
-    for guess, true in zip(predicted, (exact.forces, following.read_motion(exact), exact.rigid), strict=True):
+    for guess, true in zip(predicted, (exact.forces, exact.row_motion, exact.rigid), strict=True):
         np.testing.assert_allclose(guess, true, atol=1e-9)
 
 
