@@ -115,7 +115,7 @@ def test_a_case_that_takes_too_long_is_given_up():
     "case",
     [
         ("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"),
-        ("dovetail", 1.0, ("reached", 3.0), 1.5, 9, 1e-4, "half open"),
+        ("dovetail", 1.05, ("reached", 3.0), 0.6, 9, 1e-4, "closed"),
         ("blade root", 1.1, ("reached", 1.0), 1.5, 5, 1e-3, "closed"),
         pytest.param(("blade root", 1.05, ("reached", 1.0), 1.5, 15, 1e-3, "closed"), marks=pytest.mark.slow),
     ],
@@ -129,7 +129,7 @@ def test_a_cold_start_steps_over_corners_next_to_a_solution(monkeypatch, case):
     for module in (newton_path, ladder):  # as with laws that do not tell their corners
         monkeypatch.setattr(module, "can_follow", lambda _: False)
     stepped = solve(replace(problem), fallbacks=False)
-    assert stepped.converged and stepped.iterations < 200  # about 150, as rounding has it
+    assert stepped.converged and stepped.iterations < 150
     monkeypatch.setattr(ladder, "is_cornered", lambda _: False)
     without = solve(replace(problem), fallbacks=False, raise_on_failure=False)
     assert not without.converged and 1e-10 < without.residual < 5e-3
@@ -163,7 +163,7 @@ def test_newtons_path_takes_a_fraction_of_the_steps(monkeypatch, case):
         hard_cases.Case("lap joint", 3.0, ("applied", 0.1), 0.6, 3, 0.005, "random", (1, 1)),
         hard_cases.Case("dovetail", 1.0, ("applied", 0.03), 0.2, 15, 1e-4, "even", (1, 1)),
         hard_cases.Case("blade root", 0.3, ("reached", 1.0), 1.5, 5, 0.005, "even", (1, 1)),
-        hard_cases.Case("blade root", 1.5, ("reached", 3.0), 1.0, 3, 0.05, "random", (1, 1)),
+        hard_cases.Case("blade root", 1.5, ("reached", 3.0), 0.6, 3, 0.05, "random", (1, 1)),
     ],
     ids=lambda case: f"{case.model}-{case.frequency:.2g}",
 )
@@ -172,7 +172,7 @@ def test_the_load_grows_over_corners(case):
     problem = hard_cases.pose_case(case)
     balance = HarmonicBalance(problem.system)
     found = growing_load.grow_load(balance, 1e-8, ladder.begin_at_full_stick(balance))
-    assert found.converged and found.iterations <= 60 and "grown from corner to corner" in found.reason
+    assert found.converged and found.iterations <= 45 and "grown from corner to corner" in found.reason
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
     rungs = [name for name, _ in newton.list_rungs(problem, balance, None, 1e-8, "elimination")]
     assert rungs[1:4] == ["time stepping", "load grown over corners", "rounded corners"]
@@ -227,8 +227,7 @@ def test_weights_far_off_are_approached_from_the_defaults(rho):
     assert np.linalg.norm(balance.residual(balance.pack(solution.forces, solution.rigid))) <= 1e-8
     usual = solve(replace(problem, rho_normal=None, rho_tangential=None))
     assert np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid))) > 1e-6
-    assert bool(solution.fallbacks) == bool(usual.fallbacks)
-    assert all(rung in solution.fallbacks[0] for rung in usual.fallbacks)
+    assert usual.fallbacks and all(rung in solution.fallbacks[0] for rung in usual.fallbacks)
     alone = solve(problem, fallbacks=False, raise_on_failure=False)
     assert not alone.converged and alone.iterations < solution.iterations and alone.fallbacks == ()
     with pytest.raises(NotConverged, match="no periodic solution") as refused:

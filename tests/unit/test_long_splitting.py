@@ -76,14 +76,16 @@ def test_in_the_end_it_has_the_samples_of_the_balance():
 
 @pytest.mark.parametrize("name", ["floating, slip", "lift-off"])
 def test_softness_changes_the_way_and_not_where_it_ends(name):
+    """Ends are as far apart as what is left of defects has it: rounding may keep these from 1e-9."""
     problem = replace(PROBLEMS[name], harmonics=5, closure="dashpot")
-    balance, ends = HarmonicBalance(problem.system), []
+    balance, ends, left = HarmonicBalance(problem.system), [], []
     for softness in long_splitting.SOFTNESSES:
         splitting = Splitting(balance, softness=softness)
         found = settle(splitting, splitting.begin(), 1e-9, long_splitting.LONG)
-        assert found.defect <= 1e-6  # that is what is asked of it; rounding may keep it from less
+        left.append(found.defect)
         ends.append(splitting.unknowns(found.state))
-    np.testing.assert_allclose(ends[1], ends[0], atol=1e-4 * np.abs(ends[0]).max())
+    assert max(left) <= 1e-6
+    np.testing.assert_allclose(ends[1], ends[0], atol=200 * max(left) * np.abs(ends[0]).max())
 
 
 def test_where_it_leads_nowhere_it_says_so(monkeypatch):
