@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ewr_fenicsx import __version__
+from ewr_fenicsx.display import add_line, note_log, share_display
 from ewr_fenicsx.errors import EwrError, UnheldBody
 from ewr_fenicsx.scene.scene import Scene, load_scene
 
@@ -310,16 +310,14 @@ def show_progress(comm: MPI.Comm) -> Iterator[Callable[[str, float | None], None
     elif not console.is_terminal:
         yield lambda stage, seconds: None if seconds is None else console.print(f"{stage:<12}{seconds:8.2f} s")
     else:
-        with Progress(
-            SpinnerColumn(finished_text="✓"), TextColumn("{task.description:<12}"), TimeElapsedColumn(), console=console
-        ) as display:
-            tasks = {}
+        with share_display() as display, note_log(display):
+            lines = {}
 
             def progress(stage: str, seconds: float | None) -> None:
                 if seconds is None:
-                    tasks[stage] = display.add_task(stage, total=1)
+                    lines[stage] = add_line(display, stage)
                 else:
-                    display.update(tasks[stage], completed=1)
+                    display.update(lines[stage], completed=1, note="")
 
             yield progress
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-LOOKS_BACK = 600.0  # seconds from whose speed the rest is estimated: steps that take minutes have one as well
 Report = Callable[..., None]  # the amount done so far, or None where that is as before; note: what goes on, or ""
 
 
@@ -24,27 +23,10 @@ def count_progress(title: str, total: int, shown: bool) -> Iterator[Report]:
     if not shown:
         yield lambda done=None, note="": None
         return
-    from rich.console import Console  # only for those who watch
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from ewr_fenicsx.display import add_line, share_display  # only for those who watch
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True, highlight=False)
-    with Progress(*columns, console=console, speed_estimate_period=LOOKS_BACK) as display:
-        task = display.add_task(title, total=total)
+    with share_display() as display:
+        line = add_line(display, title, total)
         yield lambda done=None, note="": display.update(
-            task, completed=done, description=f"{title}, {note}" if note else title
+            line, completed=done, description=f"{title}, {note}" if note else title
         )

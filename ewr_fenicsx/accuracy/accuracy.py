@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,6 +28,8 @@ from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.solution.solution import PeriodicSolution
+
+LOG = logging.getLogger(__name__)  # INFO: each level, as it is done
 
 # Accuracy that the first few harmonics hardly ever meet, and what a solve begins with there: the level is spared.
 FINE, FINE_ORDER = 0.02, 5
@@ -199,6 +202,7 @@ def solve_to_accuracy(
         before, solution, lost = solution if levels else None, replace(found, fallbacks=tried), []
         estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(Level.of(solution, estimate, len(modes)))
+        LOG.info("harmonics up to %d: estimated error %.1g of %g asked", knobs.top, estimate.total, accuracy)
         if estimate.total <= accuracy:
             break
         if estimate.dominating == "modes":

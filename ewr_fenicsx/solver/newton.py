@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -40,6 +41,8 @@ from ewr_fenicsx.solver.snes import TIGHTEST, Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import are_projections
 from ewr_fenicsx.solver.warm_starts import go_on_from, guide
 from ewr_fenicsx.solver.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
+
+LOG = logging.getLogger(__name__)  # INFO: which rung comes next, and why
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
 TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
@@ -128,6 +131,8 @@ def solve(
         balance = HarmonicBalance(system)
         rungs = list_rungs(problem, balance, start, tolerance, linear_solver, fallbacks)
         for name, rung in islice(rungs, None if fallbacks is True else 1 + fallbacks):
+            if tried:
+                LOG.info("%g Hz: %s; next: %s", problem.frequency, tried[-1], name)
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].told}")
             if attempts[-1].converged or attempts[-1].walks:

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse
+from small_models import dovetail
 from small_scenes import read_demo
 from sparse_matrices import to_scipy
 
-from ewr_fenicsx import integrate, load_scene, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, load_scene, solve
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT = re.findall(
+SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
 
@@ -65,6 +66,16 @@ def test_elements_behind_springs_move_as_in_time(capsys):
     steady = integrate(solution.problem, "rest", 3200, 200, tolerance=1e-7)
     assert steady.converged
     assert abs(solution.output("x")[1] - steady.output("x")[1]) < 0.01 * abs(steady.output("x")[1])
+
+
+def test_a_solve_tells_what_it_is_about(caplog):
+    caplog.set_level("INFO", "ewr_fenicsx")  # put back at the end
+    exec(compile(WATCH, "docs/how_to.md", "exec"), {})
+    solution = solve(ContactProblem(dovetail(), ContactLaws(), 300.0), accuracy=0.01)
+    *_, last = [record.getMessage() for record in caplog.records if "estimated error" in record.getMessage()]
+    assert (
+        last == f"harmonics up to {solution.orders[-1]}: estimated error {solution.estimated_error:.1g} of 0.01 asked"
+    )
 
 
 def test_up_and_down_find_two_motions(capsys):

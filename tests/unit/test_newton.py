@@ -134,14 +134,19 @@ def unreachable(monkeypatch) -> float:
     return 1e-300
 
 
-def test_failure_is_an_error_that_carries_the_best_iterate(unreachable):
-    """A tolerance below rounding cannot be met: what was found up to there comes with the error."""
+def test_failure_is_an_error_that_carries_the_best_iterate(unreachable, caplog):
+    """A tolerance below rounding cannot be met: what was found up to there comes with the error, and is logged."""
+    caplog.set_level("INFO", "ewr_fenicsx")
     problem = PROBLEMS["floating, slip"]
     with pytest.raises(
         NotConverged, match=r"no periodic solution at 481 Hz: .*; residual .* after \d+ Newton steps.*Try fewer "
     ) as caught:
         solve(problem, tolerance=unreachable)
     best = caught.value.best
+    names = [rung.split(":")[0] for rung in best.fallbacks]
+    assert caplog.messages == [
+        f"481 Hz: {rung}; next: {following}" for rung, following in zip(best.fallbacks, names[1:], strict=False)
+    ]
     assert caught.value.exit_code == 3
     assert not best.converged and 0 < best.residual < 1e-10
     assert best.forces.shape == (6, 12) and best.history("gap", 16).shape == (16, 6)

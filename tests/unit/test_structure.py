@@ -16,7 +16,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # Each folder may import from those before it, each module in it those before it too, and the commands at the end all.
 # fmt: off
 ORDER = {
-    "": ["errors", "given", "progress", "task_sharing", "whole_files"],
+    "": ["errors", "given", "display", "progress", "task_sharing", "whole_files"],
     "model": ["rigid_modes", "reduced_model", "statics", "compliance"],
     "laws": [
         "law_kinds", "smoothing", "cone", "mean_friction", "unilateral", "bonded", "prescribed", "planar_coulomb",
