@@ -23,7 +23,7 @@ from ewr_fenicsx.accuracy.estimates import (
     find_rate,
     measure_distance,
 )
-from ewr_fenicsx.accuracy.levels import SAMPLES, Knobs, solve_level
+from ewr_fenicsx.accuracy.levels import GROWTH, Knobs, solve_first, solve_next
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
@@ -33,17 +33,16 @@ LOG = logging.getLogger(__name__)  # INFO: each level, as it is done
 
 # Accuracy that the first few harmonics hardly ever meet, and what a solve begins with there: the level is spared.
 FINE, FINE_ORDER = 0.02, 5
-GROWTH = (1.3, 2.5)  # of the highest harmonic from one solve to the next
-GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # the same from so many unknowns: a far start costs more steps than it saves
-MORE_SAMPLES = 4  # times as many, where the first solve finds nothing
+GROWTH_OF_MANY, MANY = (1.3, 1.6), 1000  # from so many unknowns on: a far start costs more steps than it saves
 MOST_HARMONICS = 63  # of the lowest harmonic with a load
 MOST_SAMPLES = 512  # a highest harmonic
 MODES_GROWTH = 2  # of their number, where the modes left out matter most
 MOST_MODES = 240
-MOST_LOST = 2  # sets of harmonics in a row that no solution is found with, before the accuracy is given up
 IDLE = 0.02  # share of the accuracy asked for that does not matter, in forces of harmonics and in errors by samples
 
-MORE = "allow more, or ask for less"  # remedy for limits that the caller sets
+# Remedies: for limits that the caller sets, and where no solution is found
+MORE = "allow more, or ask for less"
+OWN = "ask for less, or solve with harmonics of your own, which takes every fallback"
 MoreModes = Callable[[int], tuple[ContactProblem, Sequence[int]]]
 
 
@@ -176,30 +175,22 @@ def solve_to_accuracy(
     if max(driven, default=0) > highest:
         raise ModelError(f"highest = {highest}; loads act at harmonic {max(driven)}: allow at least that")
     top = min(int(highest), max([int(first), *(2 * h for h in driven if h > 1)]))
-    knobs, levels, lost = Knobs(top), [], []
+    knobs, levels = Knobs(top), []
     tried: tuple[str, ...] = ()  # fallbacks of the solves before: what was found by them starts all that follow
-    solution, estimate, limit, remedy, most = start, None, "", MORE, int(highest)
+    solution, estimate, limit, remedy = start, None, "", MORE
     while not limit:
-        again = bool(levels) and len(modes) == levels[-1].modes
-        try:
-            found, knobs = solve_level(problem, knobs, solution, tolerance, again=again)
-        except NotConverged as error:
-            if not levels and knobs.density == SAMPLES:  # few may be in the way of any solution
-                knobs = replace(knobs, density=MORE_SAMPLES * knobs.samples / max(1, knobs.top))
-                continue
-            if not levels:
-                raise
-            lost.append(knobs.top)
-            further = min(int(np.ceil(GROWTH[0] * knobs.top)), most)
-            if len(lost) < MOST_LOST and further > knobs.top:
-                knobs = replace(knobs, top=further, springs=True)  # a single set may be in the way, with any closure
-                continue
-            sets = " or ".join(map(str, lost))
-            limit = f"no solution found with harmonics up to {sets}: {error.best.reason}"
-            remedy = "ask for less, or solve with harmonics of your own, which takes every fallback"
-            break
+        if not levels:
+            found, knobs = solve_first(problem, knobs, solution, tolerance)
+        else:
+            again = len(modes) == levels[-1].modes
+            most = bound_order(levels[-1], int(highest), most_unknowns)
+            try:
+                found, knobs = solve_next(problem, knobs, solution, tolerance, most, again=again)
+            except NotConverged as error:
+                limit, remedy = str(error), OWN
+                break
         tried += tuple(f"harmonics up to {knobs.top}: {rung}" for rung in found.fallbacks)
-        before, solution, lost = solution if levels else None, replace(found, fallbacks=tried), []
+        before, solution = solution if levels else None, replace(found, fallbacks=tried)
         estimate = judge(solution, before, levels, modes, accuracy, figure)
         levels.append(Level.of(solution, estimate, len(modes)))
         LOG.info("harmonics up to %d: estimated error %.1g of %g asked", knobs.top, estimate.total, accuracy)
@@ -210,21 +201,8 @@ def solve_to_accuracy(
                 problem, modes = more_modes(raise_modes(len(modes), most_modes))
             else:
                 limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}"
-        elif estimate.dominating == "samples":
-            knobs = replace(knobs, density=2 * knobs.density)
-            if knobs.density > MOST_SAMPLES:
-                limit = f"{levels[-1].samples} samples a period still leave an error of {estimate.samples:.1g}"
         else:
-            needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
-            room = (most_unknowns - found.unknowns) * (len(solution.orders) - 0.5) / max(1, found.unknowns)
-            most = min(int(highest), knobs.top + int(room))
-            wanted = next_order(levels, accuracy, find_rate(solution.problem))
-            raised = min(max(wanted, knobs.top + 2), most)  # symmetry may make the next one zero
-            if raised <= knobs.top:
-                hit = f"harmonic {highest} is the highest allowed"
-                full = f"more harmonics than {knobs.top} take more than {most_unknowns} unknowns"
-                limit = hit if knobs.top >= highest else full
-            knobs = replace(knobs, top=raised, dropped=knobs.dropped | set(solution.orders) - needed)
+            knobs, limit = raise_knobs(knobs, solution, levels, accuracy, int(highest), most_unknowns)
     if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
         others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
         estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others, estimate.sliding)
@@ -297,6 +275,37 @@ def judge(
 def raise_modes(count: int, most: int) -> int:
     """Number of modes to keep where ``count`` leave out too much."""
     return min(MODES_GROWTH * count, most)
+
+
+def raise_knobs(
+    knobs: Knobs,
+    solution: PeriodicSolution,
+    levels: Sequence[Level],
+    accuracy: float,
+    highest: int,
+    most_unknowns: int,
+) -> tuple[Knobs, str]:
+    """Samples or harmonics raised after a solution, whichever dominate its error; and what limit they hit, if any."""
+    estimate = levels[-1].estimate
+    if estimate.dominating == "samples":
+        still = f"{levels[-1].samples} samples a period still leave an error of {estimate.samples:.1g}"
+        density = 2 * knobs.density
+        return replace(knobs, density=density), still if density > MOST_SAMPLES else ""
+    wanted = next_order(levels, accuracy, find_rate(solution.problem))
+    most = bound_order(levels[-1], highest, most_unknowns)
+    top = min(max(wanted, knobs.top + 2), most)  # symmetry may make the next one zero
+    if top <= knobs.top:
+        hit = f"harmonic {highest} is the highest allowed"
+        full = f"more harmonics than {knobs.top} take more than {most_unknowns} unknowns"
+        return knobs, hit if knobs.top >= highest else full
+    needed = {*choose_harmonics(solution, IDLE * accuracy), *solution.left_out}
+    return replace(knobs, top=top, dropped=knobs.dropped | set(solution.orders) - needed), ""
+
+
+def bound_order(level: Level, highest: int, most_unknowns: int) -> int:
+    """Highest harmonic of a solve after this one that has ``most_unknowns`` at most, as far as ``highest``."""
+    room = (most_unknowns - level.unknowns) * (len(level.orders) - 0.5) / max(1, level.unknowns)
+    return min(highest, level.orders[-1] + int(room))
 
 
 def next_order(levels: Sequence[Level], accuracy: float, rate: float) -> int:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ewr_fenicsx.accuracy.estimates import FIRST_ORDER
 from ewr_fenicsx.accuracy.looking_ahead import choose_samples
 from ewr_fenicsx.errors import NotConverged
@@ -18,7 +20,8 @@ from ewr_fenicsx.solution.symmetry import leave_out_idle
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.solver.weights import use_default_weights
 
-SAMPLES = 8  # a highest harmonic, to begin with
+SAMPLES, MORE_SAMPLES = 8, 32  # a highest harmonic, to begin with, and where the first level finds nothing
+GROWTH = (1.3, 2.5)  # of the highest harmonic from one level to the next
 SMALL = 500  # unknowns, up to which some periods of time stepping take no longer than the solves that failed
 
 
@@ -60,6 +63,35 @@ def pose_level(problem: ContactProblem, knobs: Knobs, start: PeriodicSolution | 
     closed = replace(weighted, closure="spring")
     closures = closed.system.closures
     return weighted if not closures or (few and "springs" in closures) else closed
+
+
+def solve_first(
+    problem: ContactProblem, knobs: Knobs, start: PeriodicSolution | None, tolerance: float
+) -> tuple[PeriodicSolution, Knobs]:
+    """The first level, as ``solve_level``; where nothing is found with more samples, which may be what it takes."""
+    try:
+        return solve_level(problem, knobs, start, tolerance, again=False)
+    except NotConverged:
+        more = replace(knobs, density=MORE_SAMPLES * knobs.samples / (knobs.density * max(1, knobs.top)))
+    return solve_level(problem, more, start, tolerance, again=False)
+
+
+def solve_next(
+    problem: ContactProblem, knobs: Knobs, before: PeriodicSolution, tolerance: float, most: int, *, again: bool
+) -> tuple[PeriodicSolution, Knobs]:
+    """A further level, as ``solve_level``; where nothing is found with a larger set, with harmonics up to ``most``.
+
+    A single set may be in the way, with any closure.
+    """
+    larger = replace(knobs, top=min(int(np.ceil(GROWTH[0] * knobs.top)), most), springs=True)
+    sets = [knobs] if larger.top <= knobs.top else [knobs, larger]
+    for tried in sets:
+        try:
+            return solve_level(problem, tried, before, tolerance, again=again)
+        except NotConverged as error:
+            lost = error
+    named = " or ".join(str(tried.top) for tried in sets)
+    raise NotConverged(f"no solution found with harmonics up to {named}: {lost.best.reason}", best=lost.best)
 
 
 def solve_level(
