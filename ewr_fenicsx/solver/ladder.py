@@ -5,13 +5,12 @@ are all the Newton steps that the way took:
 
 1. ``start_from_splitting``: Newton from where operator splitting ends.
 2. ``climb``: growing sets of harmonics, each started at the one before.
-3. ``step_over_corners``: whole Newton steps from a corner next to a solution.
-4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 
 ``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
-``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second, through more sets of harmonics
-where few end next to a solution. ``climb`` takes others along: through more sets, with these where Newton stalls.
+``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second. ``climb`` takes others along:
+through more sets, with these where Newton stalls.
 """
 
 from __future__ import annotations
@@ -37,13 +36,11 @@ from ewr_fenicsx.solver.warm_starts import WARM_STEPS, try_starts
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
 COARSE_LEVELS, SPRING_LEVELS, FINE_LEVELS = (5, 15, 40), (3, 7, 15, 40), (1, 3, 5, 9, 15, 23, 31, 47, 63)
-FINE_FROM = 9  # highest harmonic from which they are tried after Newton's path: below, time stepping takes fewer steps
 LAST_STEPS = 40  # Newton steps of the last set, after which its path is tried
 COARSE_STEPS = 25  # a coarse set is only a start for the next:
 COARSE_TOLERANCE, SPRING_TOLERANCE = 1e-3, 1e-2
 FINE_TOLERANCE = 1e-5  # where sets are many: a corner far from any solution may leave less than the coarse one
-# Residuals at a corner from which whole steps may lead on (less is rounding), and how many: fewer do, or none
-CORNERED, WHOLE_STEPS = (1e-10, 5e-3), 30
+CLOSE = 5e-3  # residual above which nothing on a set of harmonics is near a solution
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 BEGUN = 0.15  # share of the way that a branch is taken to have gone at least, where its pace is looked at
 BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
@@ -74,11 +71,9 @@ def start_cold(
 ) -> Attempt:
     """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
 
-    Where that ends next to a solution, through more sets of harmonics, stepping over corners. Where bodies that are
-    left to themselves never touch, there is nothing to look for.
+    Where bodies that are left to themselves never touch, there is nothing to look for.
 
-    ``limit``: Newton steps allowed on the last of few sets; where it is given, more are not tried. Nor are they where
-    the harmonics are few and Newton's path has led nowhere.
+    ``limit``: Newton steps allowed on the last set.
     """
     free = np.zeros(balance.size)
     if np.linalg.norm(balance.residual(free)) <= tolerance:
@@ -88,14 +83,7 @@ def start_cold(
         return split
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
     better = climbed if climbed.converged else min(climbed, split)
-    better = replace(better, iterations=split.iterations + climbed.iterations)
-    few = can_follow(balance) and balance.basis.orders[-1] < FINE_FROM
-    if better.converged or better.walks or limit is not None or few or not is_cornered(better):
-        return better
-    rungs = (step_over_corners,)
-    fine = climb(balance, tolerance, linear_solver, FINE_LEVELS, rungs, FINE_TOLERANCE, COARSE_STEPS)
-    closer = fine if fine.converged else min(fine, better)
-    return replace(closer, iterations=better.iterations + fine.iterations)
+    return replace(better, iterations=split.iterations + climbed.iterations)
 
 
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
@@ -123,14 +111,12 @@ def climb(
     rungs: tuple[Rung, ...] = (),
     coarse_tolerance: float = COARSE_TOLERANCE,
     limit: int | None = None,
-    *,
-    all_sets: bool = False,
 ) -> Attempt:
     """Growing sets of harmonics from full stick, each started at the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
-    are any. In large joints a set on which nothing comes near a solution is the last, unless ``all_sets`` are to be
-    tried: on larger ones steps take long, and hardly any solution is found from there.
+    are any. Where there are none, in large joints a set on which nothing comes near a solution is the last: on larger
+    ones steps take long, and hardly any solution is found from there.
     """
     below, attempt, steps, held = None, None, 0, None
     for level in grow_sets(balance, levels):
@@ -150,7 +136,7 @@ def climb(
         below = level
         if attempt.converged:
             held = level.basis.orders[-1]
-        elif balance.size > LARGEST_TRACED and attempt.residual > CORNERED[1] and not all_sets:
+        elif balance.size > LARGEST_TRACED and attempt.residual > CLOSE and not rungs:
             break
     if level is not balance:
         unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))
@@ -158,29 +144,6 @@ def climb(
     if not attempt.converged and held:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
     return replace(attempt, iterations=steps)
-
-
-def is_cornered(failed: Attempt) -> bool:
-    """Whether an attempt may have stalled at a corner next to a solution."""
-    return CORNERED[0] < failed.residual < CORNERED[1]
-
-
-def step_over_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:
-    """Newton's method without a line search, from a corner at which it stalled next to a solution.
-
-    The mean friction of a pair that sticks throughout may be far off and leave next to no residual. The step that mends
-    it lets the pair slip: the residual rises by orders of magnitude before it falls, and no line search takes it.
-
-    Returns:
-        The solution, or the ``failed`` attempt; the steps of both counted.
-    """
-    if not is_cornered(failed):
-        return failed
-    unknowns, steps = balance.take_whole_steps(failed.unknowns, WHOLE_STEPS, balance.within(tolerance))
-    if unknowns is None:
-        return replace(failed, iterations=failed.iterations + steps)
-    found = run_newton(balance, unknowns, tolerance, "elimination", near=True)  # looks whether it walks
-    return replace(found, iterations=failed.iterations + steps + found.iterations)
 
 
 def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:

@@ -24,6 +24,7 @@ from ewr_fenicsx.solver.ladder import (
     COARSE_LEVELS,
     COARSE_TOLERANCE,
     FINE_LEVELS,
+    FINE_TOLERANCE,
     LARGEST_DAMPED,
     LARGEST_TRACED,
     SPRING_LEVELS,
@@ -32,7 +33,6 @@ from ewr_fenicsx.solver.ladder import (
     climb,
     sharpen_corners,
     start_cold,
-    step_over_corners,
     trace_damping,
 )
 from ewr_fenicsx.solver.long_splitting import split_at_length
@@ -194,9 +194,8 @@ def list_rungs(
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     if problem.frequency and balance.size <= LARGEST_DAMPED:
         yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
-    rungs = (step_over_corners, sharpen_corners, trace_load)
-    fine = balance, tolerance, linear_solver, FINE_LEVELS, rungs
-    yield "more sets of harmonics", lambda _: climb(*fine, all_sets=True)
+    fine = FINE_LEVELS, (sharpen_corners, trace_load), FINE_TOLERANCE
+    yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, *fine)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 

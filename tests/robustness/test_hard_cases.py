@@ -112,27 +112,35 @@ def test_a_case_that_takes_too_long_is_given_up():
 
 
 @pytest.mark.parametrize(
-    "case",
+    ("case", "most"),
     [
-        ("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"),
-        ("dovetail", 1.05, ("reached", 3.0), 0.6, 9, 1e-4, "closed"),
-        ("blade root", 1.1, ("reached", 1.0), 1.5, 5, 1e-3, "closed"),
-        pytest.param(("blade root", 1.05, ("reached", 1.0), 1.5, 15, 1e-3, "closed"), marks=pytest.mark.slow),
+        (("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"), 50),
+        (("dovetail", 1.05, ("reached", 3.0), 0.6, 9, 1e-4, "closed"), 100),
+        (("blade root", 1.1, ("reached", 1.0), 1.5, 5, 1e-3, "closed"), 200),
     ],
-    ids=lambda case: f"{case[0]}-{case[4]}",
+    ids=["lap joint", "dovetail", "blade root"],
 )
-def test_a_cold_start_steps_over_corners_next_to_a_solution(monkeypatch, case):
-    """Near resonances with much friction the whole ladder took 200 to 300 steps, and found nothing with 40 pairs."""
+def test_next_to_a_corner_a_cold_start_goes_on_or_the_ladder_does(monkeypatch, case, most):
+    """Near resonances with much friction: over corners, or by other ways, as with laws that do not tell theirs."""
     problem = hard_cases.pose_case(hard_cases.Case(*case, (1, 1)))
     solution = solve(problem, fallbacks=False)
     assert hard_cases.judge(solution)[0] == "converged" and solution.iterations < 150
-    for module in (newton_path, ladder):  # as with laws that do not tell their corners
+    for module in (newton_path, ladder, newton):
         monkeypatch.setattr(module, "can_follow", lambda _: False)
-    stepped = solve(replace(problem), fallbacks=False)
-    assert stepped.converged and stepped.iterations < 150
-    monkeypatch.setattr(ladder, "is_cornered", lambda _: False)
     without = solve(replace(problem), fallbacks=False, raise_on_failure=False)
-    assert not without.converged and 1e-10 < without.residual < 5e-3
+    assert not without.converged
+    around = solve(replace(problem))
+    assert hard_cases.judge(around)[0] == "converged" and around.iterations < most
+
+
+@pytest.mark.slow
+def test_more_sets_of_harmonics_lead_to_a_solution_in_a_large_joint():
+    """With 40 pairs and 15 harmonics other ways take too long, or lead nowhere."""
+    case = hard_cases.Case("blade root", 1.05, ("reached", 1.0), 1.5, 15, 1e-3, "closed", (1, 1))
+    problem = hard_cases.pose_case(case)
+    solution = solve(problem)
+    assert hard_cases.judge(solution)[0] == "converged" and solution.iterations < 150
+    assert solution.fallbacks[-1].startswith("more sets of harmonics")
 
 
 @pytest.mark.parametrize(

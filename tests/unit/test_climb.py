@@ -52,13 +52,14 @@ def test_in_large_joints_no_larger_set_is_tried_where_there_is_no_solution(balan
     assert found.residual == np.linalg.norm(balance.residual(found.unknowns))
 
 
-@pytest.mark.parametrize(("left", "large", "all_sets"), [(0.1, True, True), (0.1, False, False), (1e-3, True, False)])
-def test_all_sets_are_tried_in_small_joints_next_to_a_solution_or_where_that_is_asked_for(
-    balance, visited, distance, monkeypatch, left, large, all_sets
+@pytest.mark.parametrize(("left", "large", "rungs"), [(0.1, True, 1), (0.1, False, 0), (1e-3, True, 0)])
+def test_all_sets_are_tried_in_small_joints_next_to_a_solution_or_with_rungs(
+    balance, visited, distance, monkeypatch, left, large, rungs
 ):
     distance[0] = left
     monkeypatch.setattr(ladder, "LARGEST_TRACED", balance.size - large)
-    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, all_sets=all_sets)
+    vain = lambda level, goal, failed: failed  # noqa: E731
+    found = ladder.climb(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, (vain,) * rungs)
     assert visited == [5, 15] and found.converged and found.residual <= 1e-8
 
 

@@ -182,24 +182,6 @@ def test_a_climb_that_fails_tells_how_far_it_came(unreachable, monkeypatch):
     assert not alone.converged and "solved for" not in alone.reason
 
 
-@pytest.mark.parametrize(("most", "follows", "sets"), [(5, True, 1), (5, False, 2), (9, True, 2)])
-def test_more_sets_are_climbed_where_there_are_more_harmonics(most, follows, sets, monkeypatch):
-    """With few harmonics, where Newton's path has led nowhere, more sets are hardly finer than the first ones."""
-    balance = HarmonicBalance(ContactProblem(dovetail(), ContactLaws(), 200.0, most).system)
-    climbed = []
-
-    def stall(level, tolerance, solver, levels, *given, **options):
-        climbed.append(levels)
-        return snes.Attempt(np.zeros(level.size), 1e-4, 3, "stalled", False)
-
-    monkeypatch.setattr(ladder, "can_split", lambda _: False)
-    monkeypatch.setattr(ladder, "can_follow", lambda _: follows)
-    monkeypatch.setattr(ladder, "climb", stall)
-    found = ladder.start_cold(balance, 1e-8, "elimination", ladder.COARSE_LEVELS, ladder.COARSE_TOLERANCE)
-    assert climbed == [ladder.COARSE_LEVELS, ladder.FINE_LEVELS][:sets]
-    assert found.iterations == 3 * sets and not found.converged
-
-
 def test_a_failure_by_rounding_far_below_the_modes_of_a_floating_body_says_so():
     """The motion that rounded forces cause grows as the frequency falls; with what they leave allowed, it is solved."""
     problem = replace(PROBLEMS["floating, slip"], frequency=1e-3)
