@@ -55,7 +55,10 @@ class Contact(Section):
     body_a: str = entry("blade", "-", "Body A: normals point out of it, and friction forces are those on it.")
     body_b: str = entry("disk", "-", "Body B, on which it rests.")
     flanks: tuple[str, ...] | None = entry(
-        None, "-", "Boundaries in contact; by default all that both bodies share.", min_length=1
+        None,
+        "-",
+        "Boundaries in contact; by default all that both bodies share, but for those held, loaded or followed.",
+        min_length=1,
     )
     law_files: tuple[Path, ...] = entry(
         (), "-", "Python files that register laws of your own (`docs/adding_a_law.md`); relative to the scene file."

@@ -135,9 +135,14 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
             outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
         )
     with watch.stage("interface"):
-        contact = scene.contact
+        contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
         interface = pair_interface(
-            structure, contact.flanks, body_a=contact.body_a, body_b=contact.body_b, tolerance=contact.pair_tolerance
+            structure,
+            contact.flanks,
+            body_a=contact.body_a,
+            body_b=contact.body_b,
+            tolerance=contact.pair_tolerance,
+            in_use=[*scene.supports.clamp, *(getattr(entry, "boundary", None) for entry in followed)],
         )
         joint = interface.flanks, contact.body_a, contact.body_b
         doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))

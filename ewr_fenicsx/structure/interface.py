@@ -70,6 +70,7 @@ def pair_interface(
     body_a: str = "blade",
     body_b: str = "disk",
     tolerance: float = 1e-6,
+    in_use: Sequence[str] = (),
 ) -> Interface:
     """Pairs the nodes of two bodies across their flanks.
 
@@ -79,6 +80,8 @@ def pair_interface(
         body_a: The body on which the normals point outward.
         body_b: The other one.
         tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
+        in_use: Boundaries that are held, loaded or followed: without ``flanks``, no flank where the curves of both
+            bodies do not lie face to face, such as the feet of two blades.
 
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
@@ -105,6 +108,8 @@ def pair_interface(
     }
     if flanks is None:
         sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
+        apart = [name for name in sides if name in in_use and not _find_bodies_on(structure, name)]
+        sides = {name: pair for name, pair in sides.items() if name not in apart}
         if not sides:
             raise InterfaceError(
                 f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
@@ -149,20 +154,24 @@ def doubt_boundaries(
         body_b: The other one.
         held: Names of those that are clamped.
     """
-    mesh, space = structure.mesh, structure.space
-    mesh.domain.topology.create_connectivity(1, 2)
-    outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
-    for name in sorted(set(mesh.boundaries) - {*flanks, *held}):
-        facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
-        nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
-        bodies = facing.find_facing_bodies(mesh, facets, structure.part[elasticity.local_to_global(space, nodes)])
-        if bodies:
+    for name in sorted(set(structure.mesh.boundaries) - {*flanks, *held}):
+        if bodies := _find_bodies_on(structure, name):
             whose = " and ".join(bodies) if len(set(bodies)) == 2 else f"two pieces of {bodies[0]}"
             yield (
                 f'boundary "{name}" holds curves of {whose}, which lie face to face and do not touch each other in '
                 f"this model: a joint is between {body_a} and {body_b}, on {', '.join(flanks)}; if they should touch, "
                 f"{_tell_how_to_touch(bodies, body_a, body_b)}; if they are glued, let them share nodes"
             )
+
+
+def _find_bodies_on(structure: elasticity.Structure, name: str) -> tuple[str, ...]:
+    """Two bodies, or two pieces of one, that lie face to face on a boundary; none: ``()``. Collective."""
+    mesh, space = structure.mesh, structure.space
+    mesh.domain.topology.create_connectivity(1, 2)
+    outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
+    facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
+    nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
+    return facing.find_facing_bodies(mesh, facets, structure.part[elasticity.local_to_global(space, nodes)])
 
 
 def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:

@@ -131,3 +131,14 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     (tmp_path / "scene.toml").write_text(write_blocks(source=pile))
     (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
     assert 'boundary "lid" holds curves of' in doubt and "a joint is between blade and disk, on joint;" in doubt
+
+
+def test_one_group_may_hold_both_bodies_or_be_followed_on_both(tmp_path):
+    scene = f"""
+geometry.source = "{BLOCKS.with_name("flush_blocks.py")}"
+supports.clamp = ["ends"]
+outputs.side = {{ boundary = "sides", direction = [1, 0] }}
+loads.push = {{ boundary = "clamp", force = [1, 0] }}
+"""
+    (tmp_path / "scene.toml").write_text(scene)
+    assert chain.build_chain(load_scene(tmp_path / "scene.toml")).interface.flanks == ("joint",)

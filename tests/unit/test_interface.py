@@ -162,6 +162,15 @@ def test_nodes_further_apart_than_the_tolerance_are_named():
     assert len(pair_interface(structure, tolerance=1e-3).area) == 7
 
 
+def test_a_boundary_in_use_is_a_flank_only_where_the_bodies_lie_face_to_face():
+    """One group may hold the feet of both bodies; a flank that is held by mistake stays one, and is refused later."""
+    structure = assemble(PILE.with_name("flush_blocks.py"))
+    with pytest.raises(InterfaceError, match=r'flank "(sides|ends)": '):
+        pair_interface(structure)
+    assert pair_interface(structure, in_use=["sides", "ends"]).flanks == ("joint",)
+    assert pair_interface(structure, in_use=["sides", "ends", "joint"]).flanks == ("joint",)
+
+
 def test_two_nodes_have_no_partner_in_common():
     """However near they are to it."""
     lay = lambda first, *x: _Side(  # noqa: E731
