@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.errors import ModelError, SceneError, nearest
+from ewr_fenicsx.errors import InterfaceError, MeshError, ModelError, ModesError, SceneError, nearest
 from ewr_fenicsx.laws.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.laws.law_kinds import list_parameters
 from ewr_fenicsx.model.reduced_model import ReducedModel
@@ -122,39 +122,53 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
         check_names(scene, mesh)
         doubts = tuple(doubt_lengths(scene, measure_extent(mesh)))
-    with watch.stage("matrices"):
-        structure = assemble_structure(
-            mesh,
-            materials=_materials(scene, mesh),
-            thickness=scene.elasticity.thickness,
-            plane=scene.elasticity.plane,
-            degree=scene.elasticity.degree,
-            clamp=scene.supports.clamp,
-            damping=_damping(scene),
-            loads=[_load(name, load) for name, load in scene.loads.items()],
-            outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
-        )
-    with watch.stage("interface"):
-        contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
-        interface = pair_interface(
-            structure,
-            contact.flanks,
-            body_a=contact.body_a,
-            body_b=contact.body_b,
-            tolerance=contact.pair_tolerance,
-            in_use=[*scene.supports.clamp, *(getattr(entry, "boundary", None) for entry in followed)],
-        )
-        joint = interface.flanks, contact.body_a, contact.body_b
-        doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
-    check_flanks(scene, interface)
-    check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
-    with watch.stage("reduction"):
-        reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
+    with adding(doubts):
+        with watch.stage("matrices"):
+            structure = assemble_structure(
+                mesh,
+                materials=_materials(scene, mesh),
+                thickness=scene.elasticity.thickness,
+                plane=scene.elasticity.plane,
+                degree=scene.elasticity.degree,
+                clamp=scene.supports.clamp,
+                damping=_damping(scene),
+                loads=[_load(name, load) for name, load in scene.loads.items()],
+                outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
+            )
+        with watch.stage("interface"):
+            contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
+            interface = pair_interface(
+                structure,
+                contact.flanks,
+                body_a=contact.body_a,
+                body_b=contact.body_b,
+                tolerance=contact.pair_tolerance,
+                in_use=[*scene.supports.clamp, *(getattr(entry, "boundary", None) for entry in followed)],
+            )
+            joint = interface.flanks, contact.body_a, contact.body_b
+            doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
+        check_flanks(scene, interface)
+        check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
+        with watch.stage("reduction"):
+            reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
     modes = reduction.fixed_interface_frequencies
     doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
     doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
     doubts += tuple(doubt_drag(scene, reduction.rigid_drag))
     return Chain(scene, reduction, watch.seconds, doubts)
+
+
+@contextmanager
+def adding(doubts: Sequence[str]) -> Iterator[None]:
+    """Around what may fail of what was probably not meant: its message ends with these doubts.
+
+    Raises:
+        MeshError, InterfaceError, ModesError: With the longer message.
+    """
+    try:
+        yield
+    except (MeshError, InterfaceError, ModesError) as error:
+        raise type(error)("; ".join([str(error), *doubts])) from error
 
 
 def build_reduced_model(scene: Scene) -> ReducedModel:

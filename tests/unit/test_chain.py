@@ -12,7 +12,7 @@ from mpi4py import MPI
 from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.errors import SceneError
+from ewr_fenicsx.errors import InterfaceError, SceneError
 from ewr_fenicsx.laws import law_kinds
 from ewr_fenicsx.structure import _compat, chain
 from ewr_fenicsx.structure.chain import Stopwatch, add_times
@@ -142,3 +142,13 @@ loads.push = {{ boundary = "clamp", force = [1, 0] }}
 """
     (tmp_path / "scene.toml").write_text(scene)
     assert chain.build_chain(load_scene(tmp_path / "scene.toml")).interface.flanks == ("joint",)
+
+
+def test_what_fails_in_a_mesh_of_millimetres_tells_of_them(tmp_path):
+    """The doubt about its length is told with the rest, which the failure would else keep back."""
+    parameters = "width = 40.0, blade_height = 60.0, columns = 6, disk_columns = 5"
+    (tmp_path / "scene.toml").write_text(write_blocks(parameters=parameters))
+    with pytest.raises(
+        InterfaceError, match=r"same transfinite count; geometry: the mesh is \d\S+ m long; .* mm meant"
+    ):
+        chain.build_chain(load_scene(tmp_path / "scene.toml"))
