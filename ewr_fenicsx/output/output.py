@@ -254,6 +254,8 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "nodes": index_map.size_global,
             "cells": chain.mesh.domain.topology.index_map(2).size_global,
             "smallest_scaled_jacobian": chain.mesh.smallest_scaled_jacobian,
+            "bodies": dict(chain.mesh.bodies),  # their numbers in mesh_tags.xdmf
+            "boundaries": dict(chain.mesh.boundaries),
             "pairs": model.pairs,
             "coordinates": model.size,
             "full_stick_frequencies_Hz": reduction.full_stick.frequency.tolist(),

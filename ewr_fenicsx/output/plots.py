@@ -109,7 +109,8 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     normal = solution.history("normal_force", SAMPLES)
     parts, rubs = (find_pairs_with(solution, name) for name in ("gap", "admissible_friction_force"))
     if np.any(parts):
-        gap, most = 1e6 * solution.history("gap", SAMPLES), 1.1 * normal[:, parts].max()
+        gap = 1e6 * solution.history("gap", SAMPLES)
+        most = 1.1 * max(normal[:, parts].max(), LEAST["normal_force"])  # less is rounding of pairs that are all open
         corner = [(0, most), (0, 0), (1.1 * max(gap[:, parts].max(), LEAST["gap"]), 0)]
         rows["gap [µm]", PRESSING] = gap, normal, np.full(normal.shape, True), parts, corner
     limit = sample_friction_limit(solution, SAMPLES)

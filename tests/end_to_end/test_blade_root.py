@@ -234,6 +234,11 @@ def test_tags_have_a_file_of_their_own(run, summary):
         assert len(grids["bodies"]["Values"]) == summary["model"]["cells"]
         assert len(np.unique(grids["bodies"]["Values"])) == 2
         assert len(np.unique(grids["boundaries"]["Values"])) == 6  # four flanks, clamp, tip
+        for kind in grids:
+            assert set(np.ravel(grids[kind]["Values"])) == set(summary["model"][kind].values())
+        points, tip = file["Mesh/mesh/geometry"][:], summary["model"]["boundaries"]["tip"]
+        edges = grids["boundaries"]["topology"][:][np.ravel(grids["boundaries"]["Values"]) == tip]
+        np.testing.assert_allclose(points[edges, 1], points[:, 1].max())
     with h5py.File(run[1] / "displacement.h5") as file:
         assert len(file["Function"]["displacement"]) == STEPS
 

@@ -197,6 +197,19 @@ def test_numbers_stay_apart_where_nothing_opens_or_moves(tmp_path, monkeypatch):
         assert len(boxes) > 1 and not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
+def test_where_no_pair_touches_rounding_is_not_drawn_large(tmp_path, monkeypatch):
+    """The solve may leave open pairs with forces of 1e-17 N, here put in: one flank gapes, the other is glued."""
+    away = "[flanks.left]\ninitial_gap = 5e-4", "[flanks.right]\nnormal = 'bonded'\ntangential = 'bonded'"
+    (tmp_path / "scene.toml").write_text(write_blocks(*away, source=ROOT / "geometry" / "dovetail.py"))
+    study, figures = run_study(build_chain(load_scene(tmp_path / "scene.toml"))), []
+    solution, exact = study.solution, study.solution.history
+    rounded = lambda self, name, samples: exact(name, samples) + 1e-17 * (name == "normal_force")  # noqa: E731
+    monkeypatch.setattr(type(solution), "history", rounded)
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    plots.draw_contact_sets(tmp_path / "sets.png", study.chain.interface, solution)
+    assert figures[0].axes[0].get_ylim()[1] > plots.LEAST["normal_force"]
+
+
 def test_flanks_are_not_held_against_laws_that_they_do_not_have(tmp_path, monkeypatch):
     """Under a given normal force bodies overlap by micrometres: that is no violation, and no scale for other gaps."""
     text = read_demo("blade_root")
