@@ -195,14 +195,20 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
     if scene.elasticity.thickness > THICKEST:
         thickness = f"{scene.elasticity.thickness:g}"
         yield f"elasticity.thickness = {thickness} m; was {thickness}e-3 (mm) meant?"
+    said = {}  # once, however many flanks have it from [contact]
     for where, laws in laws_in_force(scene).items():
-        if laws.initial_gap > WIDEST:
-            yield f"{where}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"
+        own = scene.flanks.get(where.removeprefix("flanks."))
+        gap, friction = (
+            "contact" if own and getattr(own, key) is None else where for key in ("initial_gap", "friction")
+        )
+        if laws.initial_gap > WIDEST and "initial_gap" in list_parameters("normal", laws.normal):
+            said[f"{gap}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"] = None
         if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
-            yield (
-                f"{where}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given in "
-                "per cent) meant?"
-            )
+            said[
+                f"{friction}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given "
+                "in per cent) meant?"
+            ] = None
+    yield from said
     wear = {f"flanks.{name}.wear": own.wear for name, own in scene.flanks.items()}
     wear |= {"wear.coefficient": scene.wear and scene.wear.coefficient}
     for where, coefficient in wear.items():

@@ -251,6 +251,17 @@ def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expect
     assert len(scene.doubts) == 1
 
 
+def test_a_doubt_about_the_joint_is_told_once_and_where_it_stands(read):
+    """Flanks that have it from [contact], or whose law does not read it, do not tell it again."""
+    flanks = "[flanks.left]\nnormal = 'bonded'\n[flanks.right]\nwear = 0.0\n[wear]\n"
+    told = read(SCENE + "[contact]\ninitial_gap = 0.02\nfriction = 20\n" + flanks).doubts
+    units = [doubt for doubt in told if "joint" in doubt and "given in" in doubt]
+    assert [doubt.partition(" m ")[0].partition(" is ")[0] for doubt in units] == [
+        "contact.initial_gap = 0.02",
+        "contact.friction = 20",
+    ]
+
+
 def test_a_cycle_jump_may_not_be_all_wrong(read):
     with pytest.raises(SceneError, match=r"wear\.tolerance = 1\.0: should be less than 1"):
         read(SCENE + "[wear]\ntolerance = 1.0")
