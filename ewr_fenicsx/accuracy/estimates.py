@@ -230,7 +230,8 @@ def estimate_together(
 def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> float:
     """Relative difference of the way that two solutions slide, over the longer one; 0 where both stick."""
     there, here = (float(np.mean(s.sliding_speed(SLIDING_SAMPLES))) for s in (ahead, solution))
-    return abs(there - here) / longer if (longer := max(there, here)) else 0.0
+    longer, rest = max(there, here), AT_REST * float(np.mean(solution.slip_reach))
+    return abs(there - here) / longer if longer > rest else 0.0
 
 
 def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:

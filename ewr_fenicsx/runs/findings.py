@@ -203,6 +203,9 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
             "depth is rough; lower wear.coefficient"
         )
     lines += [f"  stopped {history.stopped}"] if history.stopped else []
+    if not np.any(history.rate[-1]):
+        began = history.cycles[np.flatnonzero(~np.any(history.rate, axis=1))[0]]
+        lines.append(f"  nothing wears from cycle {began} on: no pair that may wear slides while it is pressed")
     if history.depth[-1].max() > through:
         lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
     return lines + [f"  the first solve: {line}" for line in history.solutions[0].list_reservations()]

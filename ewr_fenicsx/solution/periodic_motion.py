@@ -16,6 +16,7 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
 
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
+ROUNDED = 1e-12  # share of what forces and loads would cause if none cancelled, below which a speed is their rounding
 SECOND = "second_"  # before the name of a history: along the second tangent of pairs in 3-D
 SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
 
@@ -148,7 +149,8 @@ class PeriodicMotion:
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
         add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing. Where
         no law says, pairs slide if their kind ``slides``, as in ``contact_state.classify_contact``, and else stick.
-        Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend.
+        Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend. Pairs that
+        touch the limit now and then without sliding are left with rounding, which is zero here as well.
 
         Raises:
             ModelError: No whole number of samples.
@@ -166,8 +168,17 @@ class PeriodicMotion:
             if "surface_slip" in fields:
                 step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
                 velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
-        speed = np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
-        return (speed * slips)[::stride]
+        speed = slips * np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
+        return np.where(speed.max(axis=0) > ROUNDED * self.slip_reach, speed, 0.0)[::stride]
+
+    @cached_property
+    def slip_reach(self) -> RealArray:
+        """``(K_c,)`` speed along the rows of friction that forces and loads would cause if none cancelled [m/s]."""
+        system, pairs = self.problem.system, np.arange(self.problem.model.pairs)
+        bound = np.sum(np.abs(self._rate) * system.compliance.bound_rows(self.forces), axis=0)
+        bound = np.append(bound, 0.0)  # of pairs without a row, which is -1
+        along = [bound[system.row_of(direction, pairs)] for direction in self.problem.model.tangent_directions]
+        return np.max([np.zeros(pairs.size), *along], axis=0)
 
     def _find_stride(self, samples: int) -> int:
         """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""

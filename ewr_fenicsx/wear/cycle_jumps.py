@@ -114,6 +114,8 @@ class WearRun:
     def advance(self, state: WearState) -> WearState:
         """The state one cycle or jump later, or why there is none."""
         here, limit, decay = state.latest, np.inf, None
+        if not np.any(here.rate):  # nor will it wear later on
+            return self._keep(state, replace(here, cycle=self.cycles))
         if self.jump or here.cycle % CHECK_EVERY == 0:
             decay = find_wear_stiffness(here.solution, self.coefficient)
             limit = find_explicit_limit(decay)

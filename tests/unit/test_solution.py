@@ -11,6 +11,7 @@ import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
+from ewr_fenicsx.accuracy.estimates import estimate_at_once
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.solution.indicators import (
@@ -373,3 +374,16 @@ def test_histories_need_a_number_of_samples(rubbing, samples):
 def test_where_nothing_may_part_nothing_is_told():
     for laws in (ContactLaws("bonded", "bonded"), ContactLaws("prescribed", normal_force=1.0)):
         assert "touches" not in solve(ContactProblem(lift_off_oscillator(), laws, 0.1, 3)).summary()
+
+
+@pytest.mark.parametrize("closure", ["spring", "dashpot"])
+def test_pairs_that_just_reach_the_limit_do_not_slide(closure):
+    """Rounding was told as sliding, with an estimated error of more than a hundred per cent, and wore the joint."""
+    problem = ContactProblem(dovetail(excitation=20.0), ContactLaws(friction=20.0), 600.0, 5, closure=closure)
+    stuck = solve(problem)
+    samples = problem.basis.samples
+    share = np.abs(stuck.history("friction_force", samples)) / stuck.history("normal_force", samples)
+    solution = solve(replace(problem, laws=ContactLaws(friction=float(share.max()))))
+    assert np.any(classify_contact(solution, samples) == SLIP)
+    assert not np.any(solution.sliding_speed()) and solution.merit["J_T"] == 0.0
+    assert estimate_at_once(solution).sliding == 0.0

@@ -11,6 +11,7 @@ from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve, solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.runs.findings import tell_wear
 from ewr_fenicsx.wear import cycle_jumps, wear
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
@@ -50,6 +51,16 @@ def test_wear_without_the_areas_of_pairs_takes_ones_and_says_so():
     np.testing.assert_allclose(
         measure_wear_rate(solve(without), one), measure_wear_rate(solution, one) * model.pair_area, rtol=1e-12
     )
+
+
+@pytest.mark.parametrize("jump", [None, Tolerance()])
+def test_a_joint_that_does_not_slide_is_solved_once(jump):
+    """Every cycle was solved to add nothing."""
+    history = evolve_wear(replace(pose(), laws=ContactLaws(friction=20.0)), 1000, WEAR, jump)
+    assert history.solves == 1 and list(history.cycles) == [0, 1000]
+    assert not np.any(history.depth) and history.stopped is None
+    lines = tell_wear(history, 1.0, 5)
+    assert "  nothing wears from cycle 0 on: no pair that may wear slides while it is pressed" in lines
 
 
 def test_the_mean_depth_is_the_volume_over_the_area():
