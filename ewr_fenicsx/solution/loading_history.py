@@ -40,12 +40,13 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
         change = held.unpack(step.solve(step.residual))[0][0].real
     except np.linalg.LinAlgError:
         return []
-    size = lambda direction, pairs: np.abs(change[problem.system.row_of(direction, pairs)])  # noqa: E731
-    carried = stuck[size("tangential", stuck) > CARRIED * limit]
+    along = lambda direction, pairs: change[problem.system.row_of(direction, pairs)]  # noqa: E731
+    friction = np.hypot.reduce([np.zeros(stuck.size), *(along(d, stuck) for d in problem.model.tangent_directions)])
+    carried = stuck[friction > CARRIED * limit]
     pressed = problem.system.index.get("normal", np.zeros(0, dtype=int))
     pressed = np.flatnonzero(pressed >= 0)
     largest = np.abs(forces[0].real[problem.system.row_of("normal", pressed)]).max(initial=0.0)
-    decides = np.any(size("normal", pressed) > CHANGED * largest)
+    decides = np.any(np.abs(along("normal", pressed)) > CHANGED * largest)
     if not carried.size or not (decides or not problem.frequency):
         return []
     what = "normal forces" if decides else "where they rest"

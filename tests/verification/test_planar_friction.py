@@ -225,6 +225,18 @@ def test_no_direction_is_preferred(angles, static_friction):
         assert there.merit[name] == pytest.approx(value, rel=1e-2 if name == "J_T" else 1e-6, abs=1e-8), name
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.8, np.pi / 2])
+def test_what_friction_carries_at_rest_is_told_whichever_way_it_points(angle):
+    """A pair held in place takes nearly all of a mean load: 7 % of its limit are worth a word, 2 % are not."""
+    way = np.array([np.cos(angle), np.sin(angle)])
+    told, silent = (
+        [line for line in solve(ContactProblem(model, limited(1.0), 0.0, 0)).cautions if "throughout" in line]
+        for model in (sled_in_a_plane({0: share * way}) for share in (0.07, 0.02))
+    )
+    assert len(told) == 1 and "friction holds pair 0" in told[0] and "where they rest" in told[0]
+    assert not silent
+
+
 @pytest.mark.parametrize("stiffness", [(1.0, 2.0), (1.0, 0.0), (0.0, 0.0)])
 def test_no_direction_is_preferred_where_nothing_bends_in_some(stiffness):
     """Springs in both directions, in one and in none: where there is none, the mass resists."""
