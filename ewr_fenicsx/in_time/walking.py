@@ -20,7 +20,9 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
 from ewr_fenicsx.laws.law_kinds import choose_friction_weight
+from ewr_fenicsx.laws.planar_coulomb import PLANE
 from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.problem.contact_system import ContactSystem
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
@@ -80,14 +82,15 @@ def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: C
     rubs, ways = balance.static_displacement_row > 0, []
     try:
         for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), WATCHED):
-            slip = period.positions @ scheme.rows[rubs].T
-            ways.append(float(np.abs(slip[-1] - slip[0]).max()))
+            slip = period.positions @ scheme.rows.T
+            ways.append(float(measure_in_plane(balance.system, slip[-1] - slip[0])[rubs].max()))
     except (ModelError, ImportError):
         return None
     if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1]:
         return None
     way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
-    return Walk(1.0, way, float(np.abs(np.diff(slip, axis=0)).sum(axis=0).max()))
+    slid = measure_in_plane(balance.system, np.diff(slip, axis=0)).sum(axis=0)
+    return Walk(1.0, way, float(slid[rubs].max()))
 
 
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
@@ -111,12 +114,16 @@ def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
             sticks[rows] = 1 - np.mean(law.fields(at).get("slipping", np.zeros((1, rows.size))), axis=0)
     share_of_stick = max(left @ sticks / left.sum(), 1 / balance.basis.samples)
     period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)
-    way, slid = period * weight * left / share_of_stick, period * np.mean(np.abs(speed), axis=0)
+    way = period * weight * left / share_of_stick
+    slid = period * np.mean(measure_in_plane(balance.system, speed), axis=0)
     return Walk(float(left.max() / largest), float(way.max()), float(slid[balance.static_displacement_row > 0].max()))
 
 
 def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArray, float]:
-    """Mean force ``(m,)`` that friction leaves to springs, zero where it is the solver's, and the largest one [N]."""
+    """Mean force that friction leaves to springs, zero where it is the solver's, and the largest friction force [N].
+
+    The first is ``(m,)``; where a pair has two tangents, its size is at the rows of both.
+    """
     held, springs = balance.static_displacement_row > 0, balance.static_displacement_row.copy()
     if not balance.hangs_on_friction:
         return np.zeros(balance.rows), 1.0
@@ -125,6 +132,16 @@ def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArra
         springs[rows] = np.where(balance.held[rows], law.static_displacement_row, springs[rows])
     forces, rigid = balance.unpack(unknowns)
     drawn = balance.compliance.motion(forces, rigid)[0].real
-    left = np.abs(balance.static_force_row * forces[0].real + springs * drawn) * held
+    left = measure_in_plane(balance.system, (balance.static_force_row * forces[0].real + springs * drawn) * held)
     unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
-    return np.where(left > unsolved, left, 0.0), float(np.abs(balance.basis.synthesise(forces[:, held])).max()) or 1.0
+    rubbing = measure_in_plane(balance.system, balance.basis.synthesise(forces))[:, held]
+    return np.where(left > unsolved, left, 0.0), float(rubbing.max()) or 1.0
+
+
+def measure_in_plane(system: ContactSystem, values: RealArray) -> RealArray:
+    """Sizes of values at the rows, ``(..., m)``; along the two tangents of a pair both are that of the whole."""
+    sizes, (first, second) = np.abs(values), (system.row_of(d, np.arange(system.model.pairs)) for d in PLANE)
+    both = (first >= 0) & (second >= 0)
+    first, second = first[both], second[both]
+    sizes[..., first] = sizes[..., second] = np.hypot(values[..., first], values[..., second])
+    return sizes

@@ -111,6 +111,22 @@ def test_a_body_that_walks_slowly_is_told(loads):
     assert walk.sliding == pytest.approx(solution.merit["J_T"], rel=1e-2)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.5, np.pi / 4])
+def test_a_walk_in_a_plane_is_that_along_a_line_whichever_way_tangents_point(angle):
+    """The sled with two tangents, neither of which need point along its way: what is told of it, and of its share."""
+    line = replace(sled({0: 0.002, 1: 1.0}), closure="dashpot")
+    cos, sin = np.cos(angle), np.sin(angle)
+    model = ReducedModel(
+        mass=np.eye(2), damping=np.zeros((2, 2)), stiffness=np.zeros((2, 2)),
+        normal=np.zeros((1, 2)), tangential=[[cos, sin], [-sin, cos]],
+        load={h: np.array([f[0], 0.0]) for h, f in line.model.load.items()},
+    )  # fmt: skip
+    here, there = (solve(problem, tolerance=1e-11) for problem in (line, replace(line, model=model)))
+    assert here.walks_slowly.way > 1e-2
+    assert tuple(there.walks_slowly) == pytest.approx(tuple(here.walks_slowly), rel=1e-6)
+    assert tuple(measure(there)) == pytest.approx(tuple(measure(here)), rel=1e-3)
+
+
 def test_where_a_walking_body_is_on_average_is_no_large_motion(monkeypatch):
     """Not of itself: a swing that is too large is told of a walking body as well."""
     solution = solve(sled({0: 0.002, 1: 1.0}))
