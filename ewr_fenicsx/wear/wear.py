@@ -250,7 +250,7 @@ def _check_choice(choice: Mapping[str, object], accuracy: float | None) -> None:
 
 
 def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) -> RealArray:
-    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow.
+    """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow, or bonds let nothing slide.
 
     Raises:
         ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
@@ -263,11 +263,15 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
         )
     if problem.frequency == 0:
         raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")
-    rates[~problem.opens] = 0.0
-    if not np.any(rates > 0):
-        raise ModelError(
-            'no pair can wear: it takes pairs that may part (normal = "unilateral") and a positive wear coefficient'
-        )
     if model.tangents == 0:
         raise ModelError("no pair can wear: the model has no tangential rows, so that nothing slides")
+    rates[~problem.opens] = 0.0
+    for pairs, laws in problem.groups:
+        if set(model.tangent_directions) <= set(laws.kinds[1].holds(model.tangents)):
+            rates[pairs] = 0.0
+    if not np.any(rates > 0):
+        raise ModelError(
+            'no pair can wear: it takes pairs that may part (normal = "unilateral") and slide (tangential = "coulomb" '
+            'or "frictionless"), and a positive wear coefficient'
+        )
     return rates

@@ -32,6 +32,15 @@ def test_a_joint_that_cannot_wear_is_refused():
         evolve_wear(bonded, 5)
     with pytest.raises(ModelError, match="one for each of 6 pairs"):
         evolve_wear(pose(), 5, -1.0)
+    glued = ContactLaws(tangential="bonded")
+    with pytest.raises(ModelError, match=r'no pair can wear: .* and slide \(tangential = "coulomb"'):
+        evolve_wear(replace(pose(), laws=glued), 5, WEAR)
+
+
+def test_pairs_whose_bonds_let_nothing_slide_have_no_wear_coefficient():
+    laws = [([0, 1, 2, 3], ContactLaws(friction=0.2)), ([4, 5], ContactLaws(tangential="bonded"))]
+    history = evolve_wear(replace(pose(), laws=laws), 1, WEAR)
+    np.testing.assert_array_equal(history.coefficient, WEAR * np.array([1, 1, 1, 1, 0, 0]))
 
 
 def test_wear_without_the_areas_of_pairs_takes_ones_and_says_so():
