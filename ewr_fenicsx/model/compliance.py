@@ -6,7 +6,7 @@ in addition a rigid part ``G alpha`` and the forces must balance: ``G^T lam_0 + 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -20,6 +20,7 @@ from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.statics import list_most
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
+_SEEN = 1e-10  # motion of rows by rigid modes, over what they could see of them, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,18 +362,36 @@ def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:
     if modes.shape[1] == 0:
         return modes
     motion = np.abs(rows @ modes).max(axis=0, initial=0.0)
-    seen = motion > 1e-10 * bound_motion(model, rows)
+    seen = motion > _SEEN * bound_motion(model, rows)
     modes = modes / np.where(seen, motion, np.inf)  # what is rounding must not become a motion
     _, values, turn = np.linalg.svd(rows @ modes, full_matrices=True)
     if rows.shape[0] < modes.shape[1] or values[-1] <= 1e-10 * max(values[0], 1e-300):
-        idle = model.rigid_modes @ (turn[-1] / np.where(seen, motion, 1.0))
-        unseen = [model.rows(direction) @ idle for direction in model.tangent_directions]
-        slides = list_most(np.linalg.norm(unseen, axis=0)) if unseen else []
-        which = f"slides along {name_pairs(slides)} without friction" if slides else "moves no pair"
+        share = turn[-1] / np.where(seen, motion, 1.0)
         raise ModelError(
             f"{modes.shape[1]} rigid motions of floating bodies, but the forces of contact tell only "
-            f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart: one that they do not see {which}; "
-            "clamp the body, bond a flank, or add friction or pairs"
+            f"{int((values > 1e-10 * values.max(initial=0.0)).sum())} of them apart: one that they do not see "
+            f"{_tell_unseen(model, share)}"
         )
     modes = modes @ turn.T
     return modes / np.abs(rows @ modes).max(axis=0)
+
+
+def _tell_unseen(model: ReducedModel, share: RealArray) -> str:
+    """Which pairs a rigid motion moves that no unknown force sees, and what to do; ``share``: ``(r,)`` of the modes."""
+
+    def list_moving(directions: Sequence[str]) -> list[int]:
+        rows = [model.rows(direction) for direction in directions]
+        moved = np.linalg.norm([along @ model.rigid_modes @ share for along in rows], axis=0)
+        least = _SEEN * bound_motion(model, np.vstack(rows)) @ np.abs(share)
+        return list_most(np.where(moved > least, moved, 0.0))
+
+    if model.tangents and (slides := list_moving(model.tangent_directions)):
+        told = f"slides along {name_pairs(slides)} without friction"
+    elif model.normal is not None and (opens := list_moving(["normal"])):
+        return (
+            f"moves {name_pairs(opens)} along the normal, where forces are given and hold nothing; clamp the body, "
+            'bond a flank, or let contact push back: normal = "unilateral"'
+        )
+    else:
+        told = "moves no pair"
+    return f"{told}; clamp the body, bond a flank, or add friction or pairs"

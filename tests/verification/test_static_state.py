@@ -74,3 +74,13 @@ def test_a_plate_that_is_pressed_and_pushed_too_hard_is_told_to_slide():
     assert told.value.pairs == (0,)
     with pytest.raises(ModelError, match=r"tell only 1 of them apart: one .* slides along pair 0 without friction"):
         solve(pressed_plate(0.0, 50.0))
+
+
+@pytest.mark.parametrize("tangents", [[1.0], [np.sqrt(0.5), -np.sqrt(0.5)]], ids=["one tangent", "two tangents"])
+def test_a_plate_under_a_given_normal_force_is_told_to_move_along_the_normal(tangents):
+    """It was said to move no pair, or, where rounding was taken for sliding, to slide without the friction it has."""
+    problem = pressed_plate(0.6, 5.0)
+    model = replace(problem.model, tangential=np.outer(tangents, problem.model.tangential))
+    given = ContactLaws("prescribed", normal_force=100.0, friction=0.6)
+    with pytest.raises(ModelError, match=r'do not see moves pair 0 along the normal, where .* normal = "unilateral"'):
+        solve(replace(problem, model=model, laws=given))
