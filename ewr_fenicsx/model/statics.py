@@ -84,8 +84,10 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
         )
     if rest > _BALANCED:
         opening, sliding = normal_motion @ motion, np.linalg.norm(tangential_motion @ motion, axis=0)
-        # a slide's multiplier climbs the friction cone: what it opens by no more than that stays closed
-        parts = opening - friction * sliding > _SEEN * np.abs(motion).max() * largest_motion
+        # a slide's multiplier climbs the friction cone (of the polygon up to a corner): what it opens by no more than
+        # that stays closed
+        climbs = friction * sliding / (np.cos(np.pi / _SIDES) if len(tangential_motion) > 1 else 1.0)
+        parts = opening - climbs > _SEEN * np.abs(motion).max() * largest_motion
         how, most = ("opens", np.where(parts, opening, 0.0)) if np.any(parts) else ("slides along", sliding)
         worst = list_most(most)
         moves = f"{how} {name_pairs(worst)} most" if worst else "opens no pair"
