@@ -47,7 +47,9 @@ ROUNDED = 1e-12  # share of the largest response, below which another one is its
 AT_REST = 1e-7
 USUAL = 0.05  # accuracy about which a rough estimate should be right
 CLEAR = 4.0  # times above or below the accuracy, where one step's estimate needs no second look
-LARGEST_AHEAD = 2000  # unknowns of a solution, up to which a neighbouring problem is solved where single steps fail
+# Unknowns of a solution, up to which a neighbouring problem is solved where single steps fail: that has twice as many,
+# and at 1500 took ten times the solve itself
+LARGEST_AHEAD = 1000
 SLIDING_SAMPLES = 256  # a period, at which sliding is compared
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 

@@ -97,7 +97,7 @@ def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]
     width, height = np.ptp(cells.corners.reshape(-1, 2), axis=0)
     half = 0.62 * (high - low).max() * np.array([1.0, 1.15])
     if width > WIDE * height:
-        half[1] = 0.62 * max((high - low)[1], 0.5 * (high - low)[0])
+        half[1] = max(0.5 * (high - low)[1] + 0.12 * (high - low).max(), 0.31 * (high - low)[0])  # room for normals
         half[0] = max(0.62 * (high - low)[0], 1.6 * half[1])
         heights = 2.2 + 9.5 * max(LOWEST, height / width), 1.2 + 9.5 * half[1] / half[0]
         figure = Figure(figsize=(11, sum(heights)), layout="constrained")
@@ -173,6 +173,7 @@ def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cel
             head,
             tail,
             annotation_clip=False,
+            zorder=3 if pulsating else 3.5,  # on one line, both heads of the arrow below stay in sight, or one
             arrowprops={
                 "arrowstyle": "<|-|>" if pulsating else "-|>",
                 "color": colour,

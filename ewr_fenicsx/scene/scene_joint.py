@@ -80,7 +80,13 @@ class Contact(Section):
         "`zero`: none at any pair, as in the paper.",
     )
     initial_gap: Number = entry(0.0, "m", "Initial clearance of every pair.", ge=0)
-    normal_force: Number | None = entry(None, "N", "Normal force of every pair, for the law `prescribed`.", ge=0)
+    normal_force: Number | None = entry(
+        None,
+        "N",
+        "Normal force of every pair, for the law `prescribed`: it acts on both bodies, away from each other, and what "
+        "presses them together is stated as loads.",
+        ge=0,
+    )
     pair_tolerance: Number = entry(
         1e-6, "-", "Largest distance of two paired nodes, relative to the flank's length.", gt=0
     )

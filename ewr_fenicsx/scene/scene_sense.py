@@ -25,7 +25,9 @@ SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 ROUGHEST = 3.0  # coefficient of friction
 MOST_DAMPED = 0.1  # ratio of critical damping
 DRAG = 0.1  # loss factor of rigid motions of bodies that only the joint holds
-KILOHERTZ = (3e-4, 2e-3)  # between these, over the first stuck mode, a frequency was probably given in kHz
+# Between these, over the first stuck mode, and below so many Hz a frequency was probably given in kHz: compact parts
+# turn as far below their modes, at larger numbers
+KILOHERTZ, MOST_KILOHERTZ = (3e-4, 2e-3), 30.0
 MILLIMETRES = (100.0, 1e4)  # and a builder's parameter in mm, over its default
 MANY_CYCLES = 100_000  # of which every one is solved
 
@@ -115,7 +117,7 @@ def doubt_frequency(scene: Scene, stuck: float) -> Iterator[str]:
     """What is probably not meant by loads so far below the first full-stick mode [Hz], one sentence each."""
     highest = max(scene.frequencies, default=0.0)
     at = highest * max((scene.loads[name].harmonic for name in oscillating_loads(scene)), default=0)
-    if KILOHERTZ[0] * stuck < at < KILOHERTZ[1] * stuck:
+    if KILOHERTZ[0] * stuck < at < KILOHERTZ[1] * stuck and highest < MOST_KILOHERTZ:
         yield (
             f"excitation.frequency = {highest:g} Hz is so far below the first full-stick mode ({stuck:.0f} Hz) that "
             f"the motion is as good as static; was {1e3 * highest:g} Hz (given in kHz) meant?"

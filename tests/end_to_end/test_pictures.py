@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.output import plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
-from ewr_fenicsx.output.mesh_plots import draw_mesh
+from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, sample_friction_limit
 from ewr_fenicsx.structure.chain import build_chain
@@ -330,3 +331,14 @@ def test_wear_is_drawn_by_its_mean_and_its_deepest(worn, tmp_path, monkeypatch):
     mean = np.average(depth[left], weights=worn.chain.interface.area[left])
     assert shown["mean depth of left [µm]"][-1] == pytest.approx(mean), "end pairs have half the area of the others"
     assert shown["mean depth of left [µm]"][-1] < shown["deepest pair [µm]"][-1]
+
+
+@pytest.mark.parametrize(("wide", "high"), [(8.0, 5.0), (8.0, 0.0), (3.0, 8.0)])
+def test_normals_at_the_edge_of_the_joint_have_room(wide, high):
+    """Those of a floor were cut off, arrowheads included."""
+    joint = 1e-3 * np.array([[0.0, 0.0], [wide, high]])
+    cells = SimpleNamespace(corners=1e-3 * np.array([[[-20.0, -5.0], [30.0, 10.0]]]))
+    _, _, axes = _lay_panels(cells, SimpleNamespace(position=joint))
+    arrow = 0.11 * max(wide, high)
+    for (low, top), reach in ((axes.get_xlim(), wide), (axes.get_ylim(), high)):
+        assert low < -arrow and top > reach + arrow

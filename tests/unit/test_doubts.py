@@ -46,6 +46,7 @@ def test_frequencies_in_kilohertz_are_doubted(read):
     assert "1.2 Hz is so far below the first full-stick mode (1288 Hz)" in told and "was 1200 Hz" in told
     for frequency in ("0.1", "5", "1000"):
         assert not list(doubt_frequency(read(SCENE.replace("1000", frequency)), 1288.0))
+    assert not list(doubt_frequency(read(SCENE.replace("1000", "100")), 86e3)), "a pin in a bush turns so slowly"
     assert not list(doubt_frequency(read(HEAD + PULL), 1288.0)), "nothing oscillates"
 
 
