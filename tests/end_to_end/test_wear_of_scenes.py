@@ -17,7 +17,7 @@ def test_a_summary_says_why_wear_stopped(tmp_path, capsys, monkeypatch):
     evolve = wear.evolve_wear
     stop = lambda *given, **named: replace(evolve(*given, **named), stopped="after 2 cycles: enough")  # noqa: E731
     monkeypatch.setattr(wear, "evolve_wear", stop)
-    facts = run_scene(tmp_path, write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12"))["wear"]
+    facts = run_scene(tmp_path, write_blocks("[wear]\ncycles = 2\ncoefficient = 1e-12", shake=150.0))["wear"]
     assert facts["stopped"] == "after 2 cycles: enough" and facts["cycles"] == 2 and facts["solves"] >= 2
     assert facts["reservations_of_first_solve"] == []
     assert "estimated error of the response and the wear rate" in capsys.readouterr().out
