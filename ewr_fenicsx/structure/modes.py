@@ -106,8 +106,9 @@ def solve_modes(
     if max(rounding) > 0.01:
         raise ModesError(
             f"mode {np.argmax(rounding) + 1} is lost in rounding, too close to sigma = {shift:g} rad^2/s^2: a body "
-            "floats and the stiffness is singular, or one is far softer than another; clamp the body (in Python: or "
-            "give a shift below zero), or see the Young's moduli [Pa]"
+            "floats and the stiffness is singular, one is very slender, or one is far softer than another; clamp the "
+            "body (in Python: or give a shift below zero), take fewer cells across the slender one or make it "
+            "thicker, or see the Young's moduli [Pa]"
         )
     excess = modes.residual / np.maximum(LARGEST_RESIDUAL, rounding)
     worst = int(np.argmax(excess))

@@ -150,6 +150,27 @@ def test_a_body_far_softer_than_another_is_not_told_to_float_only():
         full_stick_modes(structure, pair_interface(structure), 1)
 
 
+def test_modes_of_a_very_slender_body_come_back_by_what_is_advised():
+    """A clamped plate of 3 m that is 6 mm thick; cells along it make no difference."""
+
+    def hold_plate(columns: int, rows: int, width: float = 0.006):
+        shape = {"width": width, "blade_height": 1.5, "disk_height": 1.5, "welded": True}
+        shape |= {"columns": columns, "blade_rows": rows, "disk_rows": rows}
+        return hold_clamp(assemble(TWO_BLOCKS, shape, degree=2))
+
+    fine = hold_plate(8, 150)
+    for matrices in (fine, hold_plate(8, 50)):
+        with pytest.raises(ModesError, match=r"one is very slender, .* take fewer cells across .* or make it thicker"):
+            solve_modes(*matrices, 3)
+    (thin,), (thick,) = (timoshenko_cantilever(TITANIUM, 3.0, height, 1) for height in (0.006, 0.012))
+    for matrices, shift, expected in (
+        (fine, -((2 * pi * 10) ** 2), thin),
+        (hold_plate(2, 150), 0.0, thin),
+        (hold_plate(8, 150, 0.012), 0.0, thick),
+    ):
+        assert solve_modes(*matrices, 3, shift=shift).frequency[0] == pytest.approx(expected, rel=1e-3)
+
+
 MEMBRANE_IN_LITTLE_MEMORY = """
 import resource
 import scipy.sparse as sparse
