@@ -173,7 +173,8 @@ def _draw_loads(axes: Axes, scene: Scene, edge: dict[str, RealArray], cells: Cel
             head,
             tail,
             annotation_clip=False,
-            zorder=3 if pulsating else 3.5,  # on one line, both heads of the arrow below stay in sight, or one
+            # on one line: static ones over those that go both ways, then short ones over long ones
+            zorder=(3.0 if pulsating else 3.5) - 0.4 * size / largest,
             arrowprops={
                 "arrowstyle": "<|-|>" if pulsating else "-|>",
                 "color": colour,

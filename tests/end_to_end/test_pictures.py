@@ -136,6 +136,25 @@ def test_forces_are_told_apart_by_colour_and_length(drawn, tmp_path):
     assert len(set(colours)) == 3 and colours == [told[name] for name in ("press", "shake", "hum")]
 
 
+def test_forces_on_one_line_do_not_cover_each_other(drawn, tmp_path):
+    """The push and the hum were under the shaker, which is as long or longer and came last."""
+    text = read_demo("two_blocks").partition("[loads")[0]
+    for name, size, harmonic in (("hum", 20.0, 2), ("press", -4000.0, 0), ("shake", 250.0, 1)):
+        text += f'[loads.{name}]\nboundary = "top"\nforce = [0.0, {size}]\nharmonic = {harmonic}\n'
+    text += '[contact]\nbody_a = "upper"\nbody_b = "lower"\n[excitation]\nfrequency = 1000.0\n'
+    (tmp_path / "scene.toml").write_text(text)
+    axes = drawn(tmp_path / "scene.toml")[0]
+    pixels = np.asarray(axes.figure.canvas.buffer_rgba())[::-1, :, :3]
+    hum, press, shake = list_arrows(axes)
+    colours = [to_hex(text.arrow_patch.get_edgecolor()) for text in axes.texts if text.arrow_patch]
+    assert len(set(colours)) == 3
+    # on shafts, away from heads: the push above the body, the others below
+    below = lambda arrow, share: share * min(arrow, key=lambda end: end[1]) + (1 - share) * np.mean(arrow, axis=0)  # noqa: E731
+    for point, colour in zip((below(hum, 0.3), np.mean(press, axis=0), below(shake, 0.7)), colours, strict=True):
+        column, row = axes.transData.transform(point).round().astype(int)
+        assert to_hex(pixels[row, column] / 255) == colour
+
+
 def test_a_mesh_that_is_drawn_closed_says_so_where_the_scene_has_a_gap(drawn):
     assert drawn("tapping_rod")[1].get_title() == "joint: 5 pairs, drawn without initial gaps"
     assert drawn("two_blocks")[1].get_title() == "joint: 9 pairs"
