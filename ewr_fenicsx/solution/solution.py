@@ -150,7 +150,7 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def walks_slowly(self) -> Walk | None:
         """How a body that hangs on friction walks a little every cycle, so that its mean means nothing; or None."""
-        if not (self.converged and self.rigid.size and self.merit["J_T"]):
+        if not (self.converged and self.rigid.size and self.merit["J_T"]):  # what does not slide does not walk
             return None
         balance, unknowns = self._pose()
         if not balance.hangs_on_friction:
