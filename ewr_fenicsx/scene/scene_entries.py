@@ -16,7 +16,7 @@ Number = Annotated[FiniteFloat, Strict()]  # strict: "0.2" and true are mistakes
 Integer = Annotated[int, Strict()]
 Positive = Annotated[Number, Field(gt=0)]
 Ratio = Annotated[Number, Field(ge=0, lt=1)]
-Vector = tuple[Number, Number]
+Vector = Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)]  # (x, y), of solids (x, y, z)
 
 
 def entry(default: Any, unit: str, description: str, **limits: Any) -> Any:

@@ -13,6 +13,12 @@ from ewr_fenicsx.scene.scene_entries import Integer, Number, Positive, Ratio, Se
 HIGHEST_HARMONIC = 255  # beyond it a solve would take more memory than there is
 
 
+def _refuse_zero(direction: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(direction):
+        raise PydanticCustomError("direction", "should not be the zero vector")
+    return direction
+
+
 class Geometry(Section):
     """Where the mesh comes from."""
 
@@ -49,8 +55,8 @@ class Material(Section):
 class Elasticity(Section):
     """The finite-element model of the bodies."""
 
-    plane: Literal["stress", "strain"] = entry("stress", "-", "Plane stress or plane strain.")
-    thickness: Number = entry(0.01, "m", "Thickness across the plane.", gt=0)
+    plane: Literal["stress", "strain"] = entry("stress", "-", "Plane stress or plane strain; solids are neither.")
+    thickness: Number = entry(0.01, "m", "Thickness across the plane; solids have none.", gt=0)
     degree: Literal[1, 2] = entry(1, "-", "Polynomial degree of the elements.")
 
 
@@ -100,7 +106,7 @@ class ForceLoad(Section):
 
     kind: Literal["force"] = entry("force", "-", "Which kind of load this is.")
     boundary: str = entry(..., "-", "Boundary that carries the force.")
-    force: Vector = entry(..., "N", "Resultant (x, y).")
+    force: Vector = entry(..., "N", "Resultant (x, y), of solids (x, y, z).")
     harmonic: Integer = entry(
         0, "-", "0 is static, 1 follows the excitation frequency, 2 is twice that.", ge=0, le=HIGHEST_HARMONIC
     )
@@ -116,11 +122,23 @@ class ForceLoad(Section):
 
 
 class RotationLoad(Section):
-    """The centrifugal body force of a rotation about an axis normal to the plane; static."""
+    """The centrifugal body force of a rotation about an axis, in a plane normal to it; static."""
 
     kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
     speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0, le=1e9)
-    centre: Vector = entry(..., "m", "Where the axis meets the plane (x, y), in the mesh's coordinates.")
+    centre: Vector = entry(
+        ...,
+        "m",
+        "Where the axis meets the plane (x, y), of solids any point of it (x, y, z), in the mesh's coordinates.",
+    )
+    axis: tuple[Number, Number, Number] = entry(
+        (0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter."
+    )
+
+    @field_validator("axis")
+    @classmethod
+    def check_axis(cls, axis: tuple[float, ...]) -> tuple[float, ...]:
+        return _refuse_zero(axis)
 
     @property
     def harmonic(self) -> int:
@@ -135,14 +153,12 @@ class Output(Section):
     """A displacement to follow: the mean over a boundary along a direction."""
 
     boundary: str = entry(..., "-", "Boundary whose mean displacement is followed.")
-    direction: Vector = entry(..., "-", "Direction (x, y); its length does not matter.")
+    direction: Vector = entry(..., "-", "Direction (x, y), of solids (x, y, z); its length does not matter.")
 
     @field_validator("direction")
     @classmethod
-    def check_direction(cls, direction: Vector) -> Vector:
-        if not any(direction):
-            raise PydanticCustomError("direction", "should not be the zero vector")
-        return direction
+    def check_direction(cls, direction: tuple[float, ...]) -> tuple[float, ...]:
+        return _refuse_zero(direction)
 
 
 class Reduction(Section):

@@ -121,6 +121,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
         check_names(scene, mesh)
+        check_plane(scene, mesh)
         doubts = tuple(doubt_lengths(scene, measure_extent(mesh)))
     with adding(doubts):
         with watch.stage("matrices"):
@@ -266,6 +267,17 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
                 )
 
 
+def check_plane(scene: Scene, mesh: JointMesh) -> None:
+    """Checks that a scene of solids says nothing of planes.
+
+    Raises:
+        SceneError: Names the key.
+    """
+    if mesh.dimension == 3 and (stated := scene.elasticity.model_fields_set & {"plane", "thickness"}):
+        names = " and ".join(f"elasticity.{name}" for name in sorted(stated))
+        raise SceneError(f"{scene.where}: {names}: the mesh is of solids, for which this means nothing; remove it")
+
+
 def check_laws(scene: Scene, flanks: Sequence[str] | None) -> None:
     """Checks that the laws have all their parameters.
 
@@ -326,5 +338,5 @@ def _damping(scene: Scene) -> materials.Damping:
 
 def _load(name: str, load) -> elasticity.LoadSpec:
     if isinstance(load, RotationLoad):
-        return elasticity.CentrifugalForce(name, load.speed * 2 * math.pi / 60, load.centre)
-    return elasticity.EdgeForce(name, load.boundary, load.force, load.harmonic, math.radians(load.phase))
+        return elasticity.CentrifugalForce(name, load.speed * 2 * math.pi / 60, load.centre, load.axis)
+    return elasticity.BoundaryForce(name, load.boundary, load.force, load.harmonic, math.radians(load.phase))

@@ -1,7 +1,7 @@
-"""Plane linear elasticity: meshes become sparse mass, stiffness and damping matrices, loads and output rows.
+"""Linear elasticity, plane or solid: meshes become sparse mass, stiffness and damping matrices, loads and output rows.
 
 No boundary condition is built into the matrices: the clamped degrees of freedom are listed, and whoever solves leaves
-them out. Scalar degree of freedom ``2 k + c`` is component ``c`` of node ``k`` of the space.
+them out. In ``d`` dimensions the scalar degree of freedom ``d k + c`` is component ``c`` of node ``k`` of the space.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ UNDAMPED = Rayleigh()
 
 
 @dataclass(frozen=True)
-class EdgeForce:
+class BoundaryForce:
     """A force spread evenly over a named boundary.
 
     Attributes:
         name: For messages and files.
-        boundary: Physical name of the edge.
-        force: Resultant ``(F_x, F_y)`` [N].
+        boundary: Its physical name.
+        force: Resultant ``(F_x, F_y)``, of solids ``(F_x, F_y, F_z)`` [N].
         harmonic: 0 for a static force.
         phase: Of the force, ``Re F exp(i (h tau + phase))`` [rad].
 
@@ -44,7 +44,7 @@ class EdgeForce:
 
     name: str
     boundary: str
-    force: tuple[float, float]
+    force: tuple[float, ...]
     harmonic: int = 0
     phase: float = 0.0
 
@@ -57,22 +57,31 @@ class EdgeForce:
 
 @dataclass(frozen=True)
 class CentrifugalForce:
-    """The static body force ``rho omega^2 (x - centre)`` of a rotation about an axis normal to the plane.
+    """The static body force ``rho omega^2 r`` of a rotation, where ``r`` leads from the axis to a point, the short way.
 
     Attributes:
         name: For messages and files.
         omega: Rotation speed [rad/s].
-        centre: Where the axis meets the plane [m].
+        centre: Where the axis meets the plane; of solids any point of it [m].
+        axis: Direction of the axis; its length does not matter. That of a plane is normal to it.
+
+    Raises:
+        SceneError: An axis without direction.
     """
 
     name: str
     omega: float
-    centre: tuple[float, float]
+    centre: tuple[float, ...]
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     harmonic: int = field(default=0, init=False)
     phase: float = field(default=0.0, init=False)
 
+    def __post_init__(self) -> None:
+        if not any(self.axis):
+            raise SceneError(f'load "{self.name}": axis is {self.axis}; give a vector other than zero')
 
-LoadSpec = EdgeForce | CentrifugalForce
+
+LoadSpec = BoundaryForce | CentrifugalForce
 
 
 @dataclass(frozen=True)
@@ -81,7 +90,7 @@ class OutputSpec:
 
     name: str
     boundary: str
-    direction: tuple[float, float]
+    direction: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -100,8 +109,8 @@ class Structure:
 
     Attributes:
         mesh: With its named bodies and boundaries.
-        space: Displacement space, block size 2.
-        thickness: Out of plane [m].
+        space: Displacement space, a block a node.
+        thickness: Out of plane [m]; of solids 1.
         mass: Sparse [kg].
         stiffness: Sparse [N/m].
         rayleigh: Coefficients of the damping matrix; zero where damping is per mode.
@@ -138,7 +147,7 @@ class Structure:
         """
         space, comm = self.space, self.mass.comm.tompi4py()
         count = space.dofmap.index_map.size_global
-        cells = np.arange(self.mesh.domain.topology.index_map(2).size_local)
+        cells = np.arange(self.mesh.domain.topology.index_map(self.mesh.dimension).size_local)
         nodes = local_to_global(space, _compat.cell_dofs(space, cells)).reshape(len(cells), -1)
         first = np.broadcast_to(nodes[:, :1], nodes.shape).ravel()
         mine, here = connect(first, nodes.ravel(), count), np.unique(nodes)
@@ -175,28 +184,30 @@ def assemble_structure(
     Args:
         mesh: Bodies and boundaries.
         materials: Body name -> material; every body needs one.
-        thickness: Out of plane [m].
-        plane: "stress" or "strain".
+        thickness: Out of plane [m]; solids have none.
+        plane: "stress" or "strain"; no matter to solids.
         degree: Of the Lagrange elements, 1 or 2.
-        clamp: Names of the boundaries held in both directions; may be empty.
+        clamp: Names of the boundaries held in all directions; may be empty.
         damping: How D is made.
         loads: Forces.
         outputs: Displacements to follow.
 
     Raises:
-        MeshError: A mesh that is not plane, or whose cells are of a higher order than the elements; a name that is no
-            body or boundary of it; a boundary with no facet; one of a load or an output that is inside, or a flank.
-        SceneError: A value out of its range, a body without material.
+        MeshError: A mesh whose cells are of a higher order than the elements; a name that is no body or boundary of
+            it; a boundary with no facet; one of a load or an output that is inside, or a flank.
+        SceneError: A value out of its range, a vector of another dimension than the mesh, a body without material.
         EwrError: The forms cannot be compiled.
     """
     _check_choices(mesh, materials, thickness, plane, degree)
-    space = _compat.function_space(mesh.domain, "Lagrange", degree, (2,))
+    _check_vectors(mesh.dimension, loads, outputs)
+    thickness = thickness if mesh.dimension == 2 else 1.0
+    space = _compat.function_space(mesh.domain, "Lagrange", degree, (mesh.dimension,))
     density, shear, lame = _material_fields(mesh, materials, plane)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     # 2 p + 1 integrates the mass of straight-sided elements exactly, however skewed
     dx = ufl.Measure("dx", domain=mesh.domain, metadata={"quadrature_degree": 2 * degree + 1})
     strain = ufl.sym(ufl.grad(u))
-    stress = 2 * shear * strain + lame * ufl.tr(strain) * ufl.Identity(2)
+    stress = 2 * shear * strain + lame * ufl.tr(strain) * ufl.Identity(mesh.dimension)
     mass = _compat.assemble_matrix(_compat.compile_form(density * ufl.inner(u, v) * dx, "the mass form"))
     stiffness = _compat.assemble_matrix(
         _compat.compile_form(ufl.inner(stress, ufl.sym(ufl.grad(v))) * dx, "the stiffness form")
@@ -215,7 +226,7 @@ def assemble_structure(
         rayleigh=damping if isinstance(damping, Rayleigh) else UNDAMPED,
         fixed_dofs=_clamped_dofs(mesh, space, clamp),
         loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
-        outputs={o.name: mean_over_edge(space, _outer_facets(mesh, o, "output"), _unit(o)) for o in outputs},
+        outputs={o.name: mean_over_boundary(space, _outer_facets(mesh, o, "output"), _unit(o)) for o in outputs},
         modal_damping=damping.ratio if isinstance(damping, PerMode) else None,
     )
 
@@ -223,8 +234,6 @@ def assemble_structure(
 def _check_choices(
     mesh: JointMesh, materials: Mapping[str, Material], thickness: float, plane: str, degree: int
 ) -> None:
-    if mesh.domain.geometry.dim != 2:
-        raise MeshError(f"the mesh is {mesh.domain.geometry.dim}-dimensional; plane elasticity needs a 2-D one")
     if plane not in ("stress", "strain"):
         raise SceneError(f'plane is "{plane}"; give "stress" or "strain"{nearest(plane, ("stress", "strain"))}')
     if degree not in (1, 2):
@@ -243,6 +252,18 @@ def _check_choices(
             raise SceneError(f'materials: body "{body}" has none; give it one (there are {", ".join(materials)})')
 
 
+def _check_vectors(dimension: int, loads: Sequence[LoadSpec], outputs: Sequence[OutputSpec]) -> None:
+    vectors = {f"outputs.{output.name}.direction": output.direction for output in outputs}
+    for load in loads:
+        kind = "force" if isinstance(load, BoundaryForce) else "centre"
+        vectors[f"loads.{load.name}.{kind}"] = getattr(load, kind)
+        if dimension == 2 and kind == "centre" and any(load.axis[:2]):
+            raise SceneError(f"loads.{load.name}.axis = {list(load.axis)}: a plane turns about an axis normal to it")
+    for what, vector in vectors.items():
+        if len(vector) != dimension:
+            raise SceneError(f"{what} = {list(vector)}: the mesh is {dimension}-D; give {dimension} components")
+
+
 def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
     """Local numbers of a named boundary's facets, ghosts included.
 
@@ -251,33 +272,34 @@ def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
     """
     facets = mesh.facet_tags.find(_tag(mesh.boundaries, name, "boundary"))
     if mesh.domain.comm.allreduce(len(facets)) == 0:
-        raise MeshError(f'boundary "{name}" has no facet; is its curve the edge of a meshed body?')
+        raise MeshError(f'boundary "{name}" has no facet; is it the edge or face of a meshed body?')
     return np.unique(facets).astype(np.int32)
 
 
-def _outer_facets(mesh: JointMesh, entry: EdgeForce | OutputSpec, what: str) -> np.ndarray:
-    """``boundary_facets`` of a boundary that must be no flank, nor be inside, where no edge integral sees it."""
+def _outer_facets(mesh: JointMesh, entry: BoundaryForce | OutputSpec, what: str) -> np.ndarray:
+    """``boundary_facets`` of a boundary that must be no flank, nor be inside, where no integral over it sees it."""
     facets, topology = boundary_facets(mesh, entry.boundary), mesh.domain.topology
-    topology.create_connectivity(1, 2)
-    owned = facets[facets < topology.index_map(1).size_local]
+    topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
+    owned = facets[facets < topology.index_map(mesh.dimension - 1).size_local]
     inside = np.setdiff1d(owned, dolfinx.mesh.exterior_facet_indices(topology))
     counts = [mesh.domain.comm.allreduce(len(f)) for f in (inside, owned)]
     if counts[0]:
         raise MeshError(
             f'boundary "{entry.boundary}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either '
-            "side; a load or an output needs an edge of the bodies"
+            f"side; a load or an output needs {'an edge' if mesh.dimension == 2 else 'a face'} of the bodies"
         )
     if bodies := find_facing_bodies(mesh, owned):
         each = "each would carry a part of the load" if what == "load" else "the output would be the mean over both"
         raise MeshError(
-            f'{what}s.{entry.name}.boundary = "{entry.boundary}" is a flank: its curves are on both bodies, '
+            f'{what}s.{entry.name}.boundary = "{entry.boundary}" is a flank: it lies on both bodies, '
             f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
         )
     return facets
 
 
-def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
-    """``integral N_k w ds`` over exterior facets [m]; ``w`` is a constant direction, or the outward normal (None)."""
+def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
+    """``integral N_k w ds`` over exterior facets [m, of solids m^2]; ``w`` is a constant direction, or the outward
+    normal (None)."""
     domain = space.mesh
     # a constant enters the compiled code as data: one compilation serves every direction
     w = (
@@ -288,10 +310,11 @@ def integrate_over_edge(space, facets: np.ndarray, direction: Sequence[float] | 
     return _integrate_field(space, facets, w)
 
 
-def integrate_squared_normal(space, facets: np.ndarray) -> PETSc.Vec:
-    """``integral N_k n_x n ds`` over exterior facets [m], ``n`` the outward normal."""
+def integrate_normals(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
+    """``integral N_k (n . e) n ds`` over exterior facets, as ``integrate_over_boundary``; ``n`` the outward normal."""
     n = ufl.FacetNormal(space.mesh)
-    return _integrate_field(space, facets, n[0] * n)
+    e = dolfinx.fem.Constant(space.mesh, np.array(direction, dtype=PETSc.ScalarType))
+    return _integrate_field(space, facets, ufl.inner(e, n) * n)
 
 
 def _integrate_field(space, facets: np.ndarray, w) -> PETSc.Vec:
@@ -299,13 +322,13 @@ def _integrate_field(space, facets: np.ndarray, w) -> PETSc.Vec:
     tags = dolfinx.mesh.meshtags(domain, domain.topology.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
     ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, subdomain_id=1)
     form = ufl.inner(w, ufl.TestFunction(space)) * ds
-    return _compat.assemble_vector(_compat.compile_form(form, "an edge integral"))
+    return _compat.assemble_vector(_compat.compile_form(form, "a boundary integral"))
 
 
-def mean_over_edge(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
+def mean_over_boundary(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
     """Row of the mean displacement along ``direction``; also the nodal forces of that resultant spread evenly."""
-    row = integrate_over_edge(space, facets, direction)
-    along_x = integrate_over_edge(space, facets, (1.0, 0.0))
+    row = integrate_over_boundary(space, facets, direction)
+    along_x = integrate_over_boundary(space, facets, np.eye(len(direction))[0])
     row.scale(1.0 / along_x.sum())
     return row
 
@@ -321,10 +344,11 @@ def body_nodes(structure: Structure, body: str) -> np.ndarray:
     # a node that a rank owns may touch this body through cells of another rank only: sum the marks on the owner
     marks = structure.mass.createVecRight()
     nodes = local_to_global(space, np.unique(_compat.cell_dofs(space, cells)))
-    marks.setValues(2 * nodes.astype(np.int32), np.ones(len(nodes)), addv=PETSc.InsertMode.ADD_VALUES)
+    first = mesh.dimension * nodes.astype(np.int32)
+    marks.setValues(first, np.ones(len(nodes)), addv=PETSc.InsertMode.ADD_VALUES)
     marks.assemble()
     start = marks.getOwnershipRange()[0]
-    return (start + np.flatnonzero(marks.array > 0.5)) // 2
+    return (start + np.flatnonzero(marks.array > 0.5)) // mesh.dimension
 
 
 def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
@@ -333,36 +357,40 @@ def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
 
 
 def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: str) -> tuple:
-    """Density, shear modulus and the (plane) first Lame parameter, constant in each cell."""
+    """Density, shear modulus and first Lame parameter (of plane stress where that rules), constant in each cell."""
     constants = _compat.function_space(mesh.domain, "DG", 0)
     fields = tuple(dolfinx.fem.Function(constants) for _ in range(3))
-    covered = 0
+    covered, all_cells = 0, mesh.domain.topology.index_map(mesh.dimension)
     for body, material in materials.items():
         cells = mesh.cell_tags.find(mesh.bodies[body])
-        owned = cells[cells < mesh.domain.topology.index_map(2).size_local]
+        owned = cells[cells < all_cells.size_local]
         covered += mesh.domain.comm.allreduce(len(owned))
         shear = material.young / (2 * (1 + material.poisson))
         lame = 2 * shear * material.poisson / (1 - 2 * material.poisson)
-        if plane == "stress":  # no stress normal to the plane
+        if mesh.dimension == 2 and plane == "stress":  # none normal to the plane
             lame = 2 * shear * lame / (lame + 2 * shear)
         dofs = _compat.cell_dofs(constants, cells)
         for function, value in zip(fields, (material.density, shear, lame), strict=True):
             function.x.array[dofs] = value
-    total = mesh.domain.topology.index_map(2).size_global
-    if covered != total:
+    if covered != (total := all_cells.size_global):
         raise MeshError(
             f"{total - covered} of {total} cells belong to no body ({', '.join(mesh.bodies)}); "
-            "give every surface a physical group"
+            f"give every {'surface' if mesh.dimension == 2 else 'volume'} a physical group"
         )
     return fields
 
 
 def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> Load:
-    if isinstance(load, EdgeForce):
-        forces = mean_over_edge(space, _outer_facets(mesh, load, "load"), load.force)
+    if isinstance(load, BoundaryForce):
+        forces = mean_over_boundary(space, _outer_facets(mesh, load, "load"), load.force)
     else:
-        centre = dolfinx.fem.Constant(mesh.domain, np.array(load.centre, dtype=PETSc.ScalarType))
-        form = density * ufl.inner(ufl.SpatialCoordinate(mesh.domain) - centre, ufl.TestFunction(space)) * dx
+        along = np.array(load.axis) / np.linalg.norm(load.axis)
+        across = (np.eye(3) - np.outer(along, along))[: mesh.dimension, : mesh.dimension]
+        centre, across = (
+            dolfinx.fem.Constant(mesh.domain, np.array(c, PETSc.ScalarType)) for c in (load.centre, across)
+        )
+        radius = ufl.dot(across, ufl.SpatialCoordinate(mesh.domain) - centre)
+        form = density * ufl.inner(radius, ufl.TestFunction(space)) * dx
         forces = _compat.assemble_vector(_compat.compile_form(form, "the centrifugal force"))
         forces.scale(thickness * load.omega**2)
     return Load(load.name, load.harmonic, cmath.exp(1j * load.phase), forces)
@@ -373,8 +401,12 @@ def _clamped_dofs(mesh: JointMesh, space, clamp: Iterable[str]) -> np.ndarray:
     for name in clamp:
         found = dolfinx.fem.locate_dofs_topological(space, mesh.domain.topology.dim - 1, boundary_facets(mesh, name))
         nodes.append(local_to_global(space, found[found < space.dofmap.index_map.size_local]))
-    dofs = 2 * np.unique(np.concatenate(nodes))
-    return np.sort(np.concatenate([dofs, dofs + 1]))
+    return list_dofs(np.unique(np.concatenate(nodes)), mesh.dimension).ravel()
+
+
+def list_dofs(nodes: np.ndarray, dimension: int) -> np.ndarray:
+    """Degrees of freedom of nodes ``(n,)``, by component ``(n, dimension)``."""
+    return dimension * np.asarray(nodes)[:, None] + np.arange(dimension)
 
 
 def _tag(known: Mapping[str, int], name: str, kind: str) -> int:
@@ -386,7 +418,7 @@ def _tag(known: Mapping[str, int], name: str, kind: str) -> int:
 
 
 def _unit(output: OutputSpec) -> np.ndarray:
-    length = float(np.hypot(*output.direction))
+    length = float(np.linalg.norm(output.direction))
     if length == 0:
         raise SceneError(f'output "{output.name}": direction is {output.direction}; give a vector other than zero')
     return np.array(output.direction) / length

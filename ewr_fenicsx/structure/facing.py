@@ -1,4 +1,4 @@
-"""Edges of two bodies at the same place, face to face, as on the flanks of a joint."""
+"""Edges or faces of two bodies at the same place, face to face, as on the flanks of a joint."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
     domain = mesh.domain
     beside = find_cells_beside(mesh, facets)
     tags = find_body_of_cells(mesh)[beside]
-    middle = dolfinx.mesh.compute_midpoints(domain, 1, facets)
-    outward = middle - dolfinx.mesh.compute_midpoints(domain, 2, beside)
+    middle = dolfinx.mesh.compute_midpoints(domain, mesh.dimension - 1, facets)
+    outward = middle - dolfinx.mesh.compute_midpoints(domain, mesh.dimension, beside)
     everyone = domain.comm.allgather((tags, tags if piece is None else piece, middle, outward))
     body, piece, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
     depth = np.linalg.norm(outward, axis=1)
@@ -39,7 +39,7 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
 
 def find_body_of_cells(mesh: JointMesh) -> np.ndarray:
     """Tag of the body of every cell that this rank holds, ghosts included, ``(cells,)``."""
-    cells = mesh.domain.topology.index_map(2)
+    cells = mesh.domain.topology.index_map(mesh.dimension)
     body = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
     body[mesh.cell_tags.indices] = mesh.cell_tags.values
     return body
@@ -47,5 +47,5 @@ def find_body_of_cells(mesh: JointMesh) -> np.ndarray:
 
 def find_cells_beside(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:
     """Local number of the cell beside each exterior facet."""
-    cells_of = mesh.domain.topology.connectivity(1, 2)
+    cells_of = mesh.domain.topology.connectivity(mesh.dimension - 1, mesh.dimension)
     return np.array([cells_of.links(f)[0] for f in facets], dtype=np.int32)

@@ -24,29 +24,43 @@ SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse cu
 class Interface:
     """Pairs of nodes, ordered by flank and then along the flank's tangent, wherever that turns.
 
+    In ``d`` dimensions, 2 or 3. On a solid's flank pairs are ordered along its mean second tangent, row by row, and
+    within a row along its first.
+
     Attributes:
         flanks: Names.
         flank_of_pair: Index into ``flanks``, ``(K_c,)``.
-        position: ``(K_c, 2)`` [m].
-        normal: Outward unit normal of body A, ``(K_c, 2)``.
-        tangent: The normal turned by +90 degrees, ``(K_c, 2)``.
+        position: ``(K_c, d)`` [m].
+        normal: Outward unit normal of body A, ``(K_c, d)``.
+        tangents: ``(K_c, d - 1, d)`` unit vectors. The first is the normal turned by +90 degrees about the z axis (on a
+            solid along ``e_z x normal``, or ``e_x x normal`` where that points along z), the second ``normal x first``.
         area: Tributary area, integral of the node's shape function times the thickness, ``(K_c,)`` [m^2].
         nodes_a: Global node numbers on body A, ``(K_c,)``.
         nodes_b: Global node numbers on body B, ``(K_c,)``.
         normal_gap: ``(K_c, all dofs)``: ``q_N = normal_gap @ u = (u_b - u_a).n``, opening is positive.
-        tangential_slip: ``(K_c, all dofs)``: ``q_T = tangential_slip @ u = (u_a - u_b).t``.
+        tangential_slip: ``(K_c (d - 1), all dofs)``, pair-major: ``q_T = tangential_slip @ u = (u_a - u_b).t``.
     """
 
     flanks: tuple[str, ...]
     flank_of_pair: np.ndarray
     position: np.ndarray
     normal: np.ndarray
-    tangent: np.ndarray
+    tangents: np.ndarray
     area: np.ndarray
     nodes_a: np.ndarray
     nodes_b: np.ndarray
     normal_gap: scipy.sparse.csr_matrix
     tangential_slip: scipy.sparse.csr_matrix
+
+    @property
+    def tangent(self) -> np.ndarray:
+        """The first tangent, ``(K_c, d)``."""
+        return self.tangents[:, 0]
+
+    @property
+    def dimension(self) -> int:
+        """2 of plane bodies, 3 of solids."""
+        return self.normal.shape[1]
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,7 @@ class _Side:
     position: np.ndarray
     normal: np.ndarray
     area: np.ndarray
-    turn: np.ndarray  # angle between the edges that meet at each node [degree]
+    turn: np.ndarray  # angle between the edges or faces that meet at each node [degree]
 
     def take(self, nodes: np.ndarray) -> _Side:
         """Some of the nodes, in an order of one's own."""
@@ -76,17 +90,17 @@ def pair_interface(
 
     Args:
         structure: Of the mesh that holds both bodies.
-        flanks: Names of the boundaries that hold the curves of both sides; None: all that touch both bodies.
+        flanks: Names of the boundaries that lie on both bodies; None: all that do.
         body_a: The body on which the normals point outward.
         body_b: The other one.
         tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
-        in_use: Boundaries that are held, loaded or followed: without ``flanks``, no flank where the curves of both
-            bodies do not lie face to face, such as the feet of two blades.
+        in_use: Boundaries that are held, loaded or followed: without ``flanks``, no flank where the bodies do not lie
+            face to face, such as the feet of two blades.
 
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
             tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
-            that has both bodies on the same side.
+            that has both bodies on the same side, or nodes that carry no force under an even pressure.
     """
     mesh = structure.mesh
     for body in (body_a, body_b):
@@ -113,31 +127,45 @@ def pair_interface(
         if not sides:
             raise InterfaceError(
                 f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
-                "group that holds the curves of both bodies"
+                f"group that holds the {_say_outlines(mesh.dimension)} of both bodies"
             )
     names = tuple(sides)
     paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
     for name, (a, b) in zip(names, paired, strict=True):
+        _check_areas(name, a)
         _check_smooth(name, a)
         _check_opposed(name, a, b, body_a, body_b)
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
     _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
     normal = np.concatenate([a.normal for a, _ in paired])
-    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
-    size = structure.mass.getSize()[0]
+    tangents, size = _turn_tangents(normal), structure.mass.getSize()[0]
+    each = np.repeat(np.arange(len(normal)), tangents.shape[1])
     return Interface(
         names,
         flank_of_pair,
         np.concatenate([a.position for a, _ in paired]),
         normal,
-        tangent,
+        tangents,
         np.concatenate([a.area for a, _ in paired]),
         nodes_a,
         nodes_b,
         _relative_motion(nodes_b, nodes_a, normal, size),
-        _relative_motion(nodes_a, nodes_b, tangent, size),
+        _relative_motion(nodes_a[each], nodes_b[each], np.concatenate(tangents), size),
     )
+
+
+def _turn_tangents(normal: np.ndarray) -> np.ndarray:
+    """Tangents ``(K_c, d - 1, d)`` of unit normals ``(K_c, d)``, as ``Interface`` has them."""
+    if normal.shape[1] == 2:
+        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None]
+    first = np.cross(np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]), normal)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normal, first)], axis=1)
+
+
+def _say_outlines(dimension: int) -> str:
+    return "curves" if dimension == 2 else "surfaces"
 
 
 def doubt_boundaries(
@@ -158,7 +186,7 @@ def doubt_boundaries(
         if bodies := _find_bodies_on(structure, name):
             whose = " and ".join(bodies) if len(set(bodies)) == 2 else f"two pieces of {bodies[0]}"
             yield (
-                f'boundary "{name}" holds curves of {whose}, which lie face to face and do not touch each other in '
+                f'boundary "{name}" lies on {whose}, face to face, and they do not touch each other in '
                 f"this model: a joint is between {body_a} and {body_b}, on {', '.join(flanks)}; if they should touch, "
                 f"{_tell_how_to_touch(bodies, body_a, body_b)}; if they are glued, let them share nodes"
             )
@@ -167,7 +195,7 @@ def doubt_boundaries(
 def _find_bodies_on(structure: elasticity.Structure, name: str) -> tuple[str, ...]:
     """Two bodies, or two pieces of one, that lie face to face on a boundary; none: ``()``. Collective."""
     mesh, space = structure.mesh, structure.space
-    mesh.domain.topology.create_connectivity(1, 2)
+    mesh.domain.topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
     outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
     facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
     nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
@@ -175,7 +203,7 @@ def _find_bodies_on(structure: elasticity.Structure, name: str) -> tuple[str, ..
 
 
 def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:
-    """What makes a flank of a boundary that holds curves of two bodies, which may be of one name."""
+    """What makes a flank of a boundary that lies on two bodies, which may be of one name."""
     if set(bodies) == {body_a, body_b}:
         return "name it in contact.flanks"
     strangers = set(bodies) - {body_a, body_b}
@@ -188,23 +216,24 @@ def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str
 def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Side:
     """The nodes of one body on one boundary, from all ranks, in no particular order (but the same everywhere)."""
     mesh, space = structure.mesh, structure.space
-    domain = mesh.domain
+    domain, d = mesh.domain, mesh.dimension
     facets = elasticity.boundary_facets(mesh, flank)
-    domain.topology.create_connectivity(1, 2)
-    cells_of = domain.topology.connectivity(1, 2)
+    domain.topology.create_connectivity(d - 1, d)
+    cells_of = domain.topology.connectivity(d - 1, d)
     in_body = facing.find_body_of_cells(mesh) == mesh.bodies[body]
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
-    length = elasticity.integrate_over_edge(space, mine, (1.0, 0.0)).array[::2]
-    normal = elasticity.integrate_over_edge(space, mine).array.reshape(-1, 2)
-    turn = _measure_turn(length, normal, elasticity.integrate_squared_normal(space, mine).array.reshape(-1, 2))
-    local = dolfinx.fem.locate_dofs_topological(space, 1, mine)
+    size = elasticity.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]
+    normal = elasticity.integrate_over_boundary(space, mine).array.reshape(-1, d)
+    products = [elasticity.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
+    turn = _measure_turn(size, normal, np.stack(products, axis=1))
+    local = dolfinx.fem.locate_dofs_topological(space, d - 1, mine)
     local = np.unique(local[local < space.dofmap.index_map.size_local])
     columns = (
         elasticity.local_to_global(space, local),
-        space.tabulate_dof_coordinates()[local, :2],
+        space.tabulate_dof_coordinates()[local, :d],
         normal[local],
-        length[local] * structure.thickness,
+        size[local] * structure.thickness,
         turn[local],
     )
     nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
@@ -212,42 +241,44 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
 
 
-def _measure_turn(length: np.ndarray, normal: np.ndarray, squared: np.ndarray) -> np.ndarray:
-    """Angle between the normals of the two edges that meet at each node, however long each is, ``(n,)`` [degree].
+def _measure_turn(size: np.ndarray, normal: np.ndarray, products: np.ndarray) -> np.ndarray:
+    """Angle between the normals of the edges or faces that meet at each node, however large each is, ``(n,)`` [degree].
 
     Args:
-        length: ``integral N ds``, ``(n,)`` [m].
-        normal: ``integral N n ds``, ``(n, 2)`` [m].
-        squared: ``integral N n_x n ds``, ``(n, 2)`` [m].
+        size: ``integral N ds``, ``(n,)`` [m, of solids m^2].
+        normal: ``integral N n ds``, ``(n, d)``.
+        products: ``integral N n n^T ds``, ``(n, d, d)``.
 
-    With shares ``w`` and ``1 - w`` of two normals at an angle ``t``, their mean is shorter than one:
-    ``1 - |mean|^2 = 2 w (1 - w) (1 - cos t)``. The mean of ``n n^T`` has the determinant ``w (1 - w) sin^2 t``.
+    With shares ``w_i`` of normals at angles ``t_ij``, their mean is shorter than one: ``1 - |mean|^2`` is the sum of
+    ``2 w_i w_j (1 - cos t_ij)`` over all pairs of them, and ``1 - |P|^2`` of the mean P of ``n n^T``, which has the
+    trace one, that of ``2 w_i w_j sin^2 t_ij``. So their quotient is one and the cosine; of more than two normals, a
+    mean cosine in which sharp pairs count most.
     """
-    share = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    share = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     missing = 1 - ((normal * share[:, None]) ** 2).sum(axis=1)
-    xx, xy = (squared * share[:, None]).T
-    determinant = xx * (1 - xx) - xy**2
-    bent = (missing > 0.01) & (length > 0)  # less: straight to rounding, or curved inside an edge
-    cosine = np.divide(2 * determinant, missing, out=np.full_like(length, 2.0), where=bent) - 1
+    spread = 1 - ((products * share[:, None, None]) ** 2).sum(axis=(1, 2))
+    bent = (missing > 0.01) & (size > 0)  # less: straight to rounding, or curved inside an edge
+    cosine = np.divide(spread, missing, out=np.full_like(size, 2.0), where=bent) - 1
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
     """Both sides of a flank, ordered along the tangent of A, node by node."""
+    outlines = _say_outlines(a.position.shape[1])
     shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
     if len(shared):
         raise InterfaceError(
             f'flank "{name}": {body_a} and {body_b} share {len(shared)} nodes, e.g. at '
-            f"{_tell_place(a.position[shared[0]])}; coincident nodes of a joint must stay distinct"
+            f"{tell_place(a.position[shared[0]])}; coincident nodes of a joint must stay distinct"
         )
     if len(a.nodes) != len(b.nodes) or not len(a.nodes):
-        remedy = "give both curves the same transfinite count"
+        remedy = f"give both {outlines} the same transfinite count"
         if not (len(a.nodes) and len(b.nodes)):
-            remedy = "a flank has curves of both bodies: name one in contact.flanks, or leave that out for all"
+            remedy = f"a flank has {outlines} of both bodies: name one in contact.flanks, or leave that out for all"
         raise InterfaceError(
             f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}'
         )
-    order = _follow_tangent(a)
+    order = _follow_tangent(a) if a.position.shape[1] == 2 else _follow_rows(a)
     length = np.linalg.norm(np.ptp(a.position, axis=0))
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
@@ -255,18 +286,27 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
         apart = distance.min() > tolerance * length
         clearance = "; a clearance is not drawn, but given as contact.initial_gap" if apart else ""
         raise InterfaceError(
-            f'flank "{name}": the {body_a} node at {_tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
-            f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both curves "
+            f'flank "{name}": the {body_a} node at {tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
+            f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both {outlines} "
             f"the same end points and the same transfinite spacing{clearance}"
         )
     return a.take(order), b.take(partner)
+
+
+def _check_areas(name: str, side: _Side) -> None:
+    k = int(np.argmin(side.area))
+    if side.area[k] < 1e-6 * side.area.max():
+        raise InterfaceError(
+            f'flank "{name}": the node at {tell_place(side.position[k])} carries no force under an even pressure, as '
+            "the corners of triangles of second order do: take elasticity.degree = 1, or hexahedra"
+        )
 
 
 def _check_smooth(name: str, side: _Side) -> None:
     k = int(np.argmax(side.turn))
     if side.turn[k] > SHARPEST:
         raise InterfaceError(
-            f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {_tell_place(side.position[k])}: a pair '
+            f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {tell_place(side.position[k])}: a pair '
             f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
             "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
         )
@@ -276,14 +316,14 @@ def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> N
     alike = np.flatnonzero(np.sum(a.normal * b.normal, axis=1) > -0.5)
     if len(alike):
         raise InterfaceError(
-            f'flank "{name}": {body_a} and {body_b} lie on the same side of it at {_tell_place(a.position[alike[0]])}: '
+            f'flank "{name}": {body_a} and {body_b} lie on the same side of it at {tell_place(a.position[alike[0]])}: '
             "they overlap there, and neither could press on the other; draw the bodies on either side of their flank"
         )
 
 
-def _tell_place(position: np.ndarray) -> str:
-    x, y = np.round(position, 12) + 0.0  # without the minus of -0
-    return f"({x:.6g}, {y:.6g}) m"
+def tell_place(position: np.ndarray) -> str:
+    """A place for messages."""
+    return f"({', '.join(f'{x:.6g}' for x in np.round(position, 12) + 0.0)}) m"  # without the minus of -0
 
 
 def _follow_tangent(side: _Side) -> np.ndarray:
@@ -303,6 +343,15 @@ def _follow_tangent(side: _Side) -> np.ndarray:
     return np.array(order)
 
 
+def _follow_rows(side: _Side) -> np.ndarray:
+    """Nodes of a solid's side along its mean second tangent, and where these are alike along its first one."""
+    mean = side.normal.mean(axis=0)
+    size = np.linalg.norm(mean)
+    mean = mean / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])  # a closed surface, or opposite faces
+    first, second = _turn_tangents(mean[None])[0] @ side.position.T
+    return np.lexsort(np.round([first, second] / np.ptp(side.position, axis=0).max(), 9))
+
+
 def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:
     for nodes in (nodes_a, nodes_b):
         _, first, count = np.unique(nodes, return_index=True, return_counts=True)
@@ -310,14 +359,15 @@ def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> Non
             k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2]
             raise InterfaceError(
                 f'flanks "{names[flank_of_pair[k]]}" and "{names[flank_of_pair[other]]}" share the node '
-                f"at {_tell_place(position[k])}; leave a gap between them, or, "
+                f"at {tell_place(position[k])}; leave a gap between them, or, "
                 "where they go on without a corner, make them one flank"
             )
 
 
 def _relative_motion(plus: np.ndarray, minus: np.ndarray, axis: np.ndarray, size: int) -> scipy.sparse.csr_matrix:
     """Rows ``(u_plus - u_minus) . axis``."""
-    pairs = np.repeat(np.arange(len(plus)), 4)
-    columns = np.stack([2 * plus, 2 * plus + 1, 2 * minus, 2 * minus + 1], axis=1).ravel()
+    d = axis.shape[1]
+    pairs = np.repeat(np.arange(len(plus)), 2 * d)
+    columns = np.hstack([elasticity.list_dofs(nodes, d) for nodes in (plus, minus)]).ravel()
     values = np.concatenate([axis, -axis], axis=1).ravel()
     return scipy.sparse.csr_matrix((values, (pairs, columns)), shape=(len(plus), size))

@@ -30,7 +30,7 @@ from ewr_fenicsx.scene.scene_sense import hint_at_lengths
 from ewr_fenicsx.structure import _compat
 
 MODEL_NAME = "ewr_fenicsx"
-MOST_CELLS = 1e6  # in the box around a geometry; more take long, and in a plane nobody means them
+MOST_CELLS = 1e6  # in the box around a geometry; more take long, and nobody means them
 
 # The corners next to each corner, turned so that an uninverted cell gives positive determinants, and the determinant
 # of unit edges in the ideal cell.
@@ -63,6 +63,11 @@ class JointMesh:
     bodies: Mapping[str, int]
     boundaries: Mapping[str, int]
     smallest_scaled_jacobian: float
+
+    @property
+    def dimension(self) -> int:
+        """2 of a plane mesh, 3 of solids."""
+        return self.domain.topology.dim
 
 
 @dataclass(frozen=True)
@@ -158,11 +163,11 @@ def _refuse_endless_meshes(source: Path, size: object) -> Iterator[None]:
 
     def check_and_generate(*given: object, **named: object) -> None:
         box = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-        width, height, _ = box[1] - box[0]
-        if isinstance(size, (int, float)) and width * height > MOST_CELLS * size**2:
+        sides = (box[1] - box[0])[: gmsh.model.getDimension()]
+        if isinstance(size, (int, float)) and (cells := math.prod(sides / size)) > MOST_CELLS:
             raise MeshError(
-                f"{source}: {width:.4g} m x {height:.4g} m with mesh_size = {size:g} m would be up to "
-                f"{width * height / size**2:.1g} cells, more than {MOST_CELLS:.1g}; lengths are in m: were mm meant? "
+                f"{source}: {' x '.join(f'{side:.4g} m' for side in sides)} with mesh_size = {size:g} m would be up to "
+                f"{cells:.1g} cells, more than {MOST_CELLS:.1g}; lengths are in m: were mm meant? "
                 "Else give a larger mesh_size"
             )
         generate(*given, **named)
@@ -237,10 +242,11 @@ def _inspect_model(source: Path) -> _Inspection:
     """Check the current gmsh model and number its nodes without gaps, as dolfinx needs them."""
     dimension = gmsh.model.getDimension()
     if dimension < 2 or not any(len(tags) for tags in gmsh.model.mesh.getElements(dimension)[1]):
-        made = (
-            "was it made by gmsh -2" if source.suffix == ".msh" else "does the builder call gmsh.model.mesh.generate(2)"
-        )
-        raise MeshError(f"{source}: the model has no mesh of surfaces; {made}?")
+        wanted = max(2, dimension)
+        call = f"was it made by gmsh -{wanted}"
+        if source.suffix == ".py":
+            call = f"does the builder call gmsh.model.mesh.generate({wanted})"
+        raise MeshError(f"{source}: the model has no mesh of {'volumes' if wanted == 3 else 'surfaces'}; {call}?")
     bodies, boundaries = _name_groups(source, dimension), _name_groups(source, dimension - 1)
     if not bodies:
         raise MeshError(f"{source}: no named body; give each body a physical group of dimension {dimension}")

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from ewr_fenicsx.errors import ModesError
-from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect
+from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect, list_dofs
 from ewr_fenicsx.structure.interface import Interface
 
 LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger
@@ -133,7 +133,7 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
     stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
     part = structure.part
     bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
-    clamped = np.isin(bonded, bonded[part[structure.clamped // 2]]).all()
+    clamped = np.isin(bonded, bonded[part[structure.clamped // structure.mesh.dimension]]).all()
     # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
     shift = 0.0 if clamped else -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum()
     modes = solve_modes(stiffness, mass, count, shift=shift)
@@ -149,8 +149,8 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and the clamped boundary does not move."""
     comm = structure.mass.comm.tompi4py()
     first, last = structure.mass.getOwnershipRange()
-    follower = (2 * interface.nodes_b[:, None] + np.arange(2)).ravel()
-    leader = (2 * interface.nodes_a[:, None] + np.arange(2)).ravel()
+    sides = interface.nodes_b, interface.nodes_a
+    follower, leader = (list_dofs(nodes, structure.mesh.dimension).ravel() for nodes in sides)
     # a pair with one clamped node is clamped
     held = np.union1d(structure.clamped, leader[np.isin(follower, structure.clamped)])
     kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
@@ -173,7 +173,7 @@ def find_floating_parts(structure: Structure, interface: Interface) -> np.ndarra
         ModesError: A part is neither clamped nor in contact; names its bodies.
     """
     comm, part = structure.mass.comm.tompi4py(), structure.part
-    clamped = part[structure.clamped // 2]
+    clamped = part[structure.clamped // structure.mesh.dimension]
     touching = part[np.concatenate([interface.nodes_a, interface.nodes_b])]
     loose = np.setdiff1d(part, np.concatenate([clamped, touching]))
     nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}

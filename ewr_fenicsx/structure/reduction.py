@@ -26,8 +26,8 @@ from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.columns import blocks, factorise, multiply, stack_columns
-from ewr_fenicsx.structure.elasticity import Structure
-from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.elasticity import Structure, list_dofs
+from ewr_fenicsx.structure.interface import Interface, tell_place
 from ewr_fenicsx.structure.modes import Modes, find_floating_parts, full_stick_modes, solve_modes
 from ewr_fenicsx.structure.orientation import group_equal, orient_modes
 
@@ -243,17 +243,14 @@ def _compose_basis(
 
 
 def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:
-    """Free degrees of freedom of the pairs, pair by pair: x and y of A's node, x and y of B's."""
-    dofs = np.stack(
-        [2 * interface.nodes_a, 2 * interface.nodes_a + 1, 2 * interface.nodes_b, 2 * interface.nodes_b + 1], axis=1
-    )
+    """Free degrees of freedom of the pairs, pair by pair: all components of A's node, all of B's."""
+    dofs = np.hstack([list_dofs(nodes, interface.dimension) for nodes in (interface.nodes_a, interface.nodes_b)])
     held = np.isin(dofs, fixed)
     if held.all(axis=1).any():
         k = int(np.argmax(held.all(axis=1)))
-        x, y = interface.position[k]
         raise InterfaceError(
-            f'flank "{interface.flanks[interface.flank_of_pair[k]]}": both nodes at ({x:.6g}, {y:.6g}) m '
-            "are clamped; take the flank out of the clamped boundary"
+            f'flank "{interface.flanks[interface.flank_of_pair[k]]}": both nodes at '
+            f"{tell_place(interface.position[k])} are clamped; take the flank out of the clamped boundary"
         )
     return dofs[~held]
 
@@ -354,17 +351,21 @@ def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, float
 def _rigid_motions(
     structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
 ) -> np.ndarray:
-    """Two translations and a rotation of each part that only contact holds, ``(n, r)``, columns of size 1."""
+    """Translations and rotations of each part that only contact holds, ``(n, r)``, columns of size 1."""
     nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
     position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
-    place = np.array([position[int(dof) // 2] for dof in contact])
-    along_x = contact % 2 == 0
+    d = interface.dimension
+    place = np.array([position[int(dof) // d] for dof in contact])
+    along = (contact % d)[:, None] == np.arange(d)  # which component each of them is
     motions = []
     for number in find_floating_parts(structure, interface):
-        mine = structure.part[contact // 2] == number
+        mine = structure.part[contact // d] == number
         offset = place - place[mine].mean(axis=0)
         offset /= np.abs(offset[mine]).max()
-        for motion in (along_x, ~along_x, np.where(along_x, -offset[:, 1], offset[:, 0])):
+        turns = [
+            offset[:, i] * along[:, j] - offset[:, j] * along[:, i] for i, j in itertools.combinations(range(d), 2)
+        ]
+        for motion in (*along.T, *turns):
             motions.append(np.concatenate([np.where(mine, motion, 0.0), np.zeros(count - len(contact))]))
     rigid = np.array(motions).reshape(-1, count).T
     force = np.abs(stiffness @ rigid).max(axis=0, initial=0) / np.abs(stiffness).max()

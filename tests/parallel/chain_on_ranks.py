@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.structure.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.elasticity import BoundaryForce, CentrifugalForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, RayleighRatios
 from ewr_fenicsx.structure.mesh import build_mesh
@@ -24,9 +24,9 @@ structure = assemble_structure(
     degree=degree,
     damping=RayleighRatios((500.0, 3000.0), (0.002, 0.002)),
     loads=[
-        EdgeForce("pull", "tip", (50.0, 1000.0)),
+        BoundaryForce("pull", "tip", (50.0, 1000.0)),
         CentrifugalForce("spin", 300.0, (0.0, -0.2)),
-        EdgeForce("push", "tip", (10.0, 2.0), 1),
+        BoundaryForce("push", "tip", (10.0, 2.0), 1),
     ],
     outputs=[OutputSpec("tip", "tip", (1.0, 0.0))],
 )

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.errors import EwrError, MeshError, SceneError
 from ewr_fenicsx.structure import _compat
-from ewr_fenicsx.structure.elasticity import CentrifugalForce, EdgeForce, OutputSpec, assemble_structure, body_nodes
+from ewr_fenicsx.structure.elasticity import BoundaryForce, CentrifugalForce, OutputSpec, assemble_structure, body_nodes
 from ewr_fenicsx.structure.materials import TITANIUM, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.structure.mesh import build_mesh
 
@@ -65,7 +65,7 @@ def test_mass_of_linear_motion_is_exact_on_skewed_elements(mesh, degree):
 def test_edge_force_has_its_resultant_and_no_moment_about_the_middle(mesh, degree):
     """F_x and F_y sum to the force given; spread evenly, its moment acts at the middle of the edge."""
     structure = assemble_structure(
-        mesh, materials=BOTH, degree=degree, loads=[EdgeForce("f", "tip", (3.0, -7.0), 2, 0.5)]
+        mesh, materials=BOTH, degree=degree, loads=[BoundaryForce("f", "tip", (3.0, -7.0), 2, 0.5)]
     )
     (load,) = structure.loads
     force = load.vector.array.reshape(-1, 2)
@@ -143,7 +143,7 @@ def test_rayleigh_damping_matrix(mesh):
     "change, error, words",
     [
         ({"clamp": ("clmp",)}, MeshError, 'no boundary named "clmp".*did you mean "clamp"'),
-        ({"loads": [EdgeForce("f", "tipp", (1.0, 0.0))]}, MeshError, 'did you mean "tip"'),
+        ({"loads": [BoundaryForce("f", "tipp", (1.0, 0.0))]}, MeshError, 'did you mean "tip"'),
         ({"materials": {"blade": TITANIUM, "dsk": TITANIUM}}, MeshError, 'did you mean "disk"'),
         ({"materials": {"blade": TITANIUM}}, SceneError, 'body "disk" has none'),
         ({"thickness": 0.0}, SceneError, "thickness is 0.0 m"),
@@ -159,7 +159,7 @@ def test_bad_values_are_named(mesh, change, error, words):
 
 @pytest.mark.parametrize(
     "entry",
-    [{"loads": [EdgeForce("pull", "joint", (1.0, 0.0))]}, {"outputs": [OutputSpec("mid", "joint", (1.0, 0.0))]}],
+    [{"loads": [BoundaryForce("pull", "joint", (1.0, 0.0))]}, {"outputs": [OutputSpec("mid", "joint", (1.0, 0.0))]}],
 )
 def test_a_load_or_output_inside_a_body_is_refused(entry):
     """The joint of welded blocks has cells on either side, and no edge integral sees it."""
@@ -172,7 +172,7 @@ def test_a_load_or_output_inside_a_body_is_refused(entry):
 @pytest.mark.parametrize(
     "entry, words",
     [
-        ({"loads": [EdgeForce("press", "joint", (0.0, -1.0))]}, "loads.press.*carry a part of the load"),
+        ({"loads": [BoundaryForce("press", "joint", (0.0, -1.0))]}, "loads.press.*carry a part of the load"),
         ({"outputs": [OutputSpec("mid", "joint", (1.0, 0.0))]}, "outputs.mid.*be the mean over both"),
     ],
 )
@@ -181,7 +181,7 @@ def test_a_load_or_output_on_a_flank_is_refused(entry, words, shift):
     apart = build_mesh(TWO_BLOCKS, {"shift": shift}, MPI.COMM_WORLD)
     with pytest.raises(MeshError, match=words) as told:
         assemble_structure(apart, materials=BOTH, **entry)
-    assert 'boundary = "joint" is a flank: its curves are on both bodies, ' in str(told.value)
+    assert 'boundary = "joint" is a flank: it lies on both bodies, ' in str(told.value)
     assert "blade" in str(told.value) and "disk" in str(told.value)
     assert str(told.value).endswith("name a boundary of one body")
 
@@ -190,7 +190,7 @@ def test_a_load_or_output_on_a_flank_is_refused(entry, words, shift):
 def test_a_boundary_with_curves_of_several_bodies_that_do_not_meet_carries_a_load(boundary):
     """One straight side of both blocks, across the joint; and their far ends, which look away from each other."""
     mesh = build_mesh(FLUSH_BLOCKS, {}, MPI.COMM_WORLD)
-    load = EdgeForce("press", boundary, (3.0, -4.0))
+    load = BoundaryForce("press", boundary, (3.0, -4.0))
     structure = assemble_structure(mesh, materials=BOTH, loads=[load], outputs=[OutputSpec("mid", boundary, (1, 0))])
     np.testing.assert_allclose(structure.loads[0].vector.array.reshape(-1, 2).sum(axis=0), load.force)
 
@@ -203,8 +203,8 @@ def test_a_boundary_with_curves_of_several_bodies_that_do_not_meet_carries_a_loa
         (lambda: Material(1.0, 0.3, float("nan")), "density is nan"),
         (lambda: Rayleigh(-1.0), "alpha = -1.0"),
         (lambda: PerMode(1.5), "1.5"),
-        (lambda: EdgeForce("f", "tip", (1, 0), 0, 0.3), "static load has no phase"),
-        (lambda: EdgeForce("f", "tip", (1, 0), -1), "harmonic is -1"),
+        (lambda: BoundaryForce("f", "tip", (1, 0), 0, 0.3), "static load has no phase"),
+        (lambda: BoundaryForce("f", "tip", (1, 0), -1), "harmonic is -1"),
         (lambda: RayleighRatios((500.0, 500.0), (0.1, 0.1)).rayleigh(), "two different"),
     ],
 )

@@ -262,9 +262,9 @@ def test_bodies_on_the_same_side_of_their_flank_are_refused(bodies):
 @pytest.mark.parametrize(
     ("cover", "words"),
     [
-        ("cover", "holds curves of .* which lie face to face .* make cover a part of disk; if they are glued"),
-        ("blade", "holds curves of two pieces of blade, .* make one of them a part of blade, the other of disk;"),
-        ("disk", "holds curves of .* and .*, .* name it in contact.flanks;"),
+        ("cover", "lies on .*, face to face .* make cover a part of disk; if they are glued"),
+        ("blade", "lies on two pieces of blade, .* make one of them a part of blade, the other of disk;"),
+        ("disk", "lies on .* and .*, face to face .* name it in contact.flanks;"),
     ],
 )
 def test_bodies_face_to_face_on_a_boundary_that_is_no_flank_are_told(cover, words, gap):

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from sparse_matrices import to_scipy
 
 from ewr_fenicsx.errors import ModesError
-from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, Material, RayleighRatios
 from ewr_fenicsx.structure.mesh import build_mesh
@@ -269,7 +269,7 @@ def test_bonded_pairs_are_one_welded_mesh(joint, welded, pairs):
     """Tying the nodes of every pair gives the compliance and the modes of the mesh whose nodes were merged."""
     options = {
         "damping": RayleighRatios((500.0, 3000.0), (0.002, 0.002)),
-        "loads": [EdgeForce("f", "tip", (1.0, 0.3), 1)],
+        "loads": [BoundaryForce("f", "tip", (1.0, 0.3), 1)],
         "outputs": [OutputSpec("tip", "tip", (1.0, 0.3))],
     }
     tied, merged = assemble(*joint, **options), assemble(*welded, **options)

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from sparse_matrices import to_scipy
 
 from ewr_fenicsx.errors import InterfaceError, ModesError
-from ewr_fenicsx.structure.elasticity import EdgeForce, OutputSpec, assemble_structure
+from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.structure.mesh import build_mesh
@@ -32,7 +32,7 @@ FIRST_MODE = 1090.0  # Hz, of the default fir tree in full stick
 
 def assemble(source, parameters=None, pull=1000.0, **options):
     mesh = build_mesh(source, parameters or {}, MPI.COMM_WORLD)
-    loads = [EdgeForce("pull", "tip", (0.0, pull)), EdgeForce("push", "tip", (10.0, 0.0), 1, 0.4)]
+    loads = [BoundaryForce("pull", "tip", (0.0, pull)), BoundaryForce("push", "tip", (10.0, 0.0), 1, 0.4)]
     options = {"damping": RayleighRatios((500.0, 3000.0), (0.002, 0.002))} | options
     structure = assemble_structure(
         mesh,
@@ -309,7 +309,7 @@ def test_the_damping_of_the_bonded_joint_is_told():
 
 def test_loads_of_one_harmonic_are_summed_with_their_phases():
     mesh = build_mesh(TWO_BLOCKS, {}, MPI.COMM_WORLD)
-    loads = [EdgeForce("a", "tip", (2.0, 0.0), 1), EdgeForce("b", "tip", (3.0, 0.0), 1, pi / 2)]
+    loads = [BoundaryForce("a", "tip", (2.0, 0.0), 1), BoundaryForce("b", "tip", (3.0, 0.0), 1, pi / 2)]
     structure = assemble_structure(
         mesh,
         materials=dict.fromkeys(mesh.bodies, TITANIUM),
