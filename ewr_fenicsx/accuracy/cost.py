@@ -17,6 +17,7 @@ from ewr_fenicsx.accuracy.looking_ahead import choose_samples
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import read_friction_weight, read_weight, use_mobility
+from ewr_fenicsx.solution.contact_state import sample_along_tangents
 from ewr_fenicsx.solution.indicators import measure_cone_violation, measure_sliding
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.newton import solve
@@ -71,11 +72,12 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
             if 0 < h <= HIGHEST:
                 output[h - 1, i] = amplitude
     area = problem.model.areas
-    names = ("normal_force", "friction_force", "gap", "slip")
-    force, friction, gap, slip = (motion.history(name, SAMPLES) for name in names)
+    force, gap = (motion.history(name, SAMPLES) for name in ("normal_force", "gap"))
+    friction, slip = (sample_along_tangents(motion, name, SAMPLES) for name in ("friction_force", "slip"))
     speed = motion.sliding_speed(SAMPLES)
     period, pressing, rubs = 1 / problem.frequency, np.maximum(0.0, force), problem.friction > 0
-    opening = max(gap[:, problem.opens].max(initial=0.0), np.ptp(slip, axis=0).max(initial=0.0)) or 1.0
+    largest_slip = np.linalg.norm(np.ptp(slip, axis=1), axis=0).max(initial=0.0)
+    opening = max(gap[:, problem.opens].max(initial=0.0), largest_slip) or 1.0
     return Figures(
         output=output,
         sliding=measure_sliding(speed, period),
@@ -83,7 +85,9 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
         wear=period * (pressing / area * speed).mean(axis=0),
         penetration=max(0.0, -float(gap[:, problem.opens].min(initial=0.0))) / opening,
         tension=max(0.0, -float(force[:, problem.opens].min(initial=0.0))) / (float(force.max(initial=0.0)) or 1.0),
-        cone_violation=measure_cone_violation(friction[:, rubs], force[:, rubs], problem.friction[rubs]),
+        cone_violation=measure_cone_violation(
+            np.linalg.norm(friction, axis=0)[:, rubs], force[:, rubs], problem.friction[rubs]
+        ),
     )
 
 

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.boundaries import boundary_facets
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.elasticity import boundary_facets
 from ewr_fenicsx.structure.facing import find_body_of_cells
 
 

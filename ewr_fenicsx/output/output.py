@@ -207,10 +207,8 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
     columns = {
         "pair": np.arange(len(interface.area)),
         "flank": np.array(interface.flanks)[interface.flank_of_pair],
-        "x [m]": interface.position[:, 0],
-        "y [m]": interface.position[:, 1],
-        "normal_x": interface.normal[:, 0],
-        "normal_y": interface.normal[:, 1],
+        **{f"{axis} [m]": place for axis, place in zip("xyz", interface.position.T, strict=False)},
+        **{f"normal_{axis}": part for axis, part in zip("xyz", interface.normal.T, strict=False)},
         "area [m^2]": interface.area,
     }
     units = {"normal_force": "N", "friction_force": "N", "gap": "m", "slip": "m"}

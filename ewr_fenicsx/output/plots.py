@@ -16,7 +16,13 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.solution.contact_state import find_pairs_with, list_histories, sample_friction_limit
+from ewr_fenicsx.solution.contact_state import (
+    find_pairs_with,
+    list_histories,
+    sample_along_tangents,
+    sample_friction_limit,
+)
+from ewr_fenicsx.solution.periodic_motion import SECOND
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure.interface import Interface
 
@@ -68,6 +74,8 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
             ("friction_force", "friction force [N]", 1.0),
             ("gap", "gap [µm]", 1e6),
             ("slip", "slip about its mean [µm]", 1e6),
+            (SECOND + "friction_force", "second friction force [N]", 1.0),
+            (SECOND + "slip", "second slip about its mean [µm]", 1e6),
         )
         if name in list_histories(solution)
     ]
@@ -78,22 +86,23 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
     grid = figure.subplots(len(rows), columns, sharex=True, sharey="row", squeeze=False)
     phase = np.arange(SAMPLES) / SAMPLES
     for line, (name, label, factor) in zip(grid, rows, strict=True):
-        knows = find_pairs_with(solution, name)
+        along = name.removeprefix(SECOND)
+        knows = find_pairs_with(solution, along)
         history = factor * solution.history(name, SAMPLES) * knows
-        if name == "slip":
+        if along == "slip":
             history = history - history.mean(axis=0)
         for k, axes in enumerate(line):
             for place, pair in _along(interface, k, knows):
                 axes.plot(phase, history[:, pair], color=_COLOURS.to_rgba(place), linewidth=1.0)
             axes.axhline(0.0, color=INK, linewidth=0.5)
         line[0].set_ylabel(label)
-        if np.abs(history).max() < LEAST[name]:  # rounding, not motion
-            line[0].set_ylim(-LEAST[name], LEAST[name])
+        if np.abs(history).max() < LEAST[along]:  # rounding, not motion
+            line[0].set_ylim(-LEAST[along], LEAST[along])
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
         axes.set_title(flank.replace("_", " "))
     for axes in grid[-1]:
         axes.set(xlabel="time / period", xlim=(0, 1))
-    _place_key(figure, grid)
+    _place_key(figure, grid, interface)
     figure.suptitle(_caption(solution))
     save_picture(figure, path, dpi=DPI)
 
@@ -102,8 +111,8 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     """Where pairs stand with respect to the exact sets of Signorini (above) and Coulomb (below), flank by flank.
 
     Friction is in units of its momentary limit ``mu lam_N``, drawn where the limit exceeds a twentieth of its largest
-    value (at lift-off the quotient means nothing), and as far as twice the limit. Flanks without the law stay empty,
-    and so do those where it never has a limit above zero.
+    value (at lift-off the quotient means nothing), and as far as twice the limit. With two tangents it is the size of
+    the force over the speed. Flanks without the law stay empty, and so do those where it never has a limit above zero.
     """
     rows = {}  # title of the two axes -> what to draw, where it is shown, which pairs have the law, and its exact set
     normal = solution.history("normal_force", SAMPLES)
@@ -117,17 +126,17 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     rubs &= np.any(limit > 0, axis=0)  # laws of one's own may rub, and not by a multiple of the normal force
     if np.any(rubs):
         shown = limit > 0.05 * limit.max()
-        share = solution.history("friction_force", SAMPLES) / np.where(shown, limit, 1.0)
-        velocity = 1e3 * solution.history("slip_velocity", SAMPLES)
+        sized = solution.problem.model.tangents == 2
+        read = lambda name: sample_along_tangents(solution, name, SAMPLES)  # noqa: E731
+        friction, velocity = (
+            np.linalg.norm(along, axis=0) if sized else along[0]
+            for along in map(read, ("friction_force", "slip_velocity"))
+        )
+        share, velocity = friction / np.where(shown, limit, 1.0), 1e3 * velocity
         fastest = np.abs(velocity[:, rubs]).max(initial=0.0, where=shown[:, rubs])  # open pairs are, and not drawn
         far = 1.1 * max(fastest, LEAST["slip_velocity"])
-        rows["slip velocity [mm/s]", RUBBING] = (
-            velocity,
-            share,
-            shown,
-            rubs,
-            [(-far, 1), (0, 1), (0, -1), (far, -1)],
-        )
+        exact = [(0, 0), (0, 1), (far, 1)] if sized else [(-far, 1), (0, 1), (0, -1), (far, -1)]
+        rows[f"slip {'speed' if sized else 'velocity'} [mm/s]", RUBBING] = velocity, share, shown, rubs, exact
     if not rows:
         return
     columns = len(interface.flanks)
@@ -148,12 +157,12 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
                 )
         line[0].locator_params(axis="x", nbins=4)  # for all of the row; more would overlap where extents are tiny
         if along == RUBBING:
-            line[0].set_ylim(-2, 2)
+            line[0].set_ylim(2 * min(0, *np.transpose(exact)[1]), 2)
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
         axes.set_title(flank.replace("_", " "))
     next(axes for axes in grid.flat if axes.lines).legend(loc="upper right", fontsize=8)
     figure.suptitle(_caption(solution))
-    _place_key(figure, grid)
+    _place_key(figure, grid, interface)
     save_picture(figure, path, dpi=DPI)
 
 
@@ -243,6 +252,7 @@ def _caption(solution: PeriodicSolution) -> str:
     return (f"{solution.problem.frequency:g} Hz, harmonics {kept}" if any(orders) else "at rest") + worn
 
 
-def _place_key(figure: Figure, grid: np.ndarray) -> None:
-    bar = figure.colorbar(_COLOURS, ax=grid, label="place along the flank's tangent", shrink=0.5, aspect=30, pad=0.01)
+def _place_key(figure: Figure, grid: np.ndarray, interface: Interface) -> None:
+    label = "place along the flank's tangent" if interface.dimension == 2 else "place on the flank, row by row"
+    bar = figure.colorbar(_COLOURS, ax=grid, label=label, shrink=0.5, aspect=30, pad=0.01)
     bar.set_ticks([0, 1], labels=["first pair", "last pair"])

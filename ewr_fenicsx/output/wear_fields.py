@@ -70,7 +70,7 @@ def recede_flanks(chain: Chain) -> Callable[[RealArray], dolfinx.fem.Function]:
 
     def recede(depth: RealArray) -> dolfinx.fem.Function:
         inward = -interface.normal * depth[:, None]
-        field.x.array.reshape(-1, 2)[:] = np.where(pairs[:, None] >= 0, inward[pairs], 0.0)
+        field.x.array.reshape(len(pairs), -1)[:] = np.where(pairs[:, None] >= 0, inward[pairs], 0.0)
         return to_nodes(field)
 
     return recede

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.problem.harmonics import FourierBasis
+from ewr_fenicsx.solution.contact_state import sample_along_tangents
 from ewr_fenicsx.solution.symmetry import find_idle_harmonics
 from ewr_fenicsx.solver.weights import went_back
 
@@ -55,12 +56,18 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
         through: Thickness of the thinnest body [m].
     """
     touches = solution.history("normal_force", ROUND).max(axis=0) > 0
-    slip, spacing = solution.history("slip", ROUND), measure_spacing(interface)
+    slip, spacing = sample_along_tangents(solution, "slip", ROUND), measure_spacing(interface)
     wave, names = FourierBasis(solution.orders, ROUND), solution.problem.model.outputs
     moved = {name: wave.synthesise(solution.output(name)[:, None]) for name in names}
     if solution.walks_slowly:
-        slip, moved = slip - slip.mean(axis=0), {name: motion - motion.mean() for name, motion in moved.items()}
-    slid, largest = np.abs(slip).max(axis=0), {name: float(np.abs(motion).max()) for name, motion in moved.items()}
+        slip, moved = (
+            slip - slip.mean(axis=1, keepdims=True),
+            {name: motion - motion.mean() for name, motion in moved.items()},
+        )
+    slid, largest = (
+        np.linalg.norm(slip, axis=0).max(axis=0),
+        {name: float(np.abs(motion).max()) for name, motion in moved.items()},
+    )
     far = np.flatnonzero(touches & (slid > spacing))
     doubts = []
     if far.size:

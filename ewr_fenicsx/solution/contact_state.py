@@ -6,7 +6,7 @@ import numpy as np
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.harmonics import FourierBasis
-from ewr_fenicsx.solution.periodic_motion import SECOND
+from ewr_fenicsx.solution.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -45,6 +45,12 @@ def list_figures(solution: PeriodicSolution) -> tuple[str, ...]:
 def changes_state(solution: PeriodicSolution) -> bool:
     """Whether some pair may open or slip."""
     return bool({"gap", "slip"} & set(list_histories(solution)))
+
+
+def sample_along_tangents(motion: PeriodicMotion, name: str, samples: int) -> RealArray:
+    """A tangential history of a solution or steady state along each tangent, ``(1 or 2, samples, K_c)``."""
+    names = (name, SECOND + name) if motion.problem.model.tangents == 2 else (name,)
+    return np.array([motion.history(along, samples) for along in names])
 
 
 def sample_friction_limit(solution: PeriodicSolution, samples: int) -> RealArray:

@@ -20,7 +20,14 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
 from ewr_fenicsx.structure import _compat
-from ewr_fenicsx.structure.facing import find_facing_bodies
+from ewr_fenicsx.structure.boundaries import (
+    boundary_facets,
+    find_tag,
+    list_dofs,
+    local_to_global,
+    mean_over_boundary,
+    outer_facets,
+)
 from ewr_fenicsx.structure.materials import Damping, Material, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.structure.mesh import JointMesh
 
@@ -226,7 +233,10 @@ def assemble_structure(
         rayleigh=damping if isinstance(damping, Rayleigh) else UNDAMPED,
         fixed_dofs=_clamped_dofs(mesh, space, clamp),
         loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
-        outputs={o.name: mean_over_boundary(space, _outer_facets(mesh, o, "output"), _unit(o)) for o in outputs},
+        outputs={
+            o.name: mean_over_boundary(space, outer_facets(mesh, "output", o.name, o.boundary), _unit(o))
+            for o in outputs
+        },
         modal_damping=damping.ratio if isinstance(damping, PerMode) else None,
     )
 
@@ -246,7 +256,7 @@ def _check_choices(
     if not thickness > 0:
         raise SceneError(f"thickness is {thickness} m; give a positive number")
     for body in materials:
-        _tag(mesh.bodies, body, "body")
+        find_tag(mesh.bodies, body, "body")
     for body in mesh.bodies:
         if body not in materials:
             raise SceneError(f'materials: body "{body}" has none; give it one (there are {", ".join(materials)})')
@@ -264,75 +274,6 @@ def _check_vectors(dimension: int, loads: Sequence[LoadSpec], outputs: Sequence[
             raise SceneError(f"{what} = {list(vector)}: the mesh is {dimension}-D; give {dimension} components")
 
 
-def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
-    """Local numbers of a named boundary's facets, ghosts included.
-
-    Raises:
-        MeshError: No such boundary, or one without facets.
-    """
-    facets = mesh.facet_tags.find(_tag(mesh.boundaries, name, "boundary"))
-    if mesh.domain.comm.allreduce(len(facets)) == 0:
-        raise MeshError(f'boundary "{name}" has no facet; is it the edge or face of a meshed body?')
-    return np.unique(facets).astype(np.int32)
-
-
-def _outer_facets(mesh: JointMesh, entry: BoundaryForce | OutputSpec, what: str) -> np.ndarray:
-    """``boundary_facets`` of a boundary that must be no flank, nor be inside, where no integral over it sees it."""
-    facets, topology = boundary_facets(mesh, entry.boundary), mesh.domain.topology
-    topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
-    owned = facets[facets < topology.index_map(mesh.dimension - 1).size_local]
-    inside = np.setdiff1d(owned, dolfinx.mesh.exterior_facet_indices(topology))
-    counts = [mesh.domain.comm.allreduce(len(f)) for f in (inside, owned)]
-    if counts[0]:
-        raise MeshError(
-            f'boundary "{entry.boundary}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either '
-            f"side; a load or an output needs {'an edge' if mesh.dimension == 2 else 'a face'} of the bodies"
-        )
-    if bodies := find_facing_bodies(mesh, owned):
-        each = "each would carry a part of the load" if what == "load" else "the output would be the mean over both"
-        raise MeshError(
-            f'{what}s.{entry.name}.boundary = "{entry.boundary}" is a flank: it lies on both bodies, '
-            f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
-        )
-    return facets
-
-
-def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
-    """``integral N_k w ds`` over exterior facets [m, of solids m^2]; ``w`` is a constant direction, or the outward
-    normal (None)."""
-    domain = space.mesh
-    # a constant enters the compiled code as data: one compilation serves every direction
-    w = (
-        ufl.FacetNormal(domain)
-        if direction is None
-        else dolfinx.fem.Constant(domain, np.array(direction, dtype=PETSc.ScalarType))
-    )
-    return _integrate_field(space, facets, w)
-
-
-def integrate_normals(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
-    """``integral N_k (n . e) n ds`` over exterior facets, as ``integrate_over_boundary``; ``n`` the outward normal."""
-    n = ufl.FacetNormal(space.mesh)
-    e = dolfinx.fem.Constant(space.mesh, np.array(direction, dtype=PETSc.ScalarType))
-    return _integrate_field(space, facets, ufl.inner(e, n) * n)
-
-
-def _integrate_field(space, facets: np.ndarray, w) -> PETSc.Vec:
-    domain = space.mesh
-    tags = dolfinx.mesh.meshtags(domain, domain.topology.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
-    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, subdomain_id=1)
-    form = ufl.inner(w, ufl.TestFunction(space)) * ds
-    return _compat.assemble_vector(_compat.compile_form(form, "a boundary integral"))
-
-
-def mean_over_boundary(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
-    """Row of the mean displacement along ``direction``; also the nodal forces of that resultant spread evenly."""
-    row = integrate_over_boundary(space, facets, direction)
-    along_x = integrate_over_boundary(space, facets, np.eye(len(direction))[0])
-    row.scale(1.0 / along_x.sum())
-    return row
-
-
 def body_nodes(structure: Structure, body: str) -> np.ndarray:
     """Global node numbers of a body that this rank owns, sorted.
 
@@ -340,7 +281,7 @@ def body_nodes(structure: Structure, body: str) -> np.ndarray:
         MeshError: No such body.
     """
     space, mesh = structure.space, structure.mesh
-    cells = mesh.cell_tags.find(_tag(mesh.bodies, body, "body"))
+    cells = mesh.cell_tags.find(find_tag(mesh.bodies, body, "body"))
     # a node that a rank owns may touch this body through cells of another rank only: sum the marks on the owner
     marks = structure.mass.createVecRight()
     nodes = local_to_global(space, np.unique(_compat.cell_dofs(space, cells)))
@@ -349,11 +290,6 @@ def body_nodes(structure: Structure, body: str) -> np.ndarray:
     marks.assemble()
     start = marks.getOwnershipRange()[0]
     return (start + np.flatnonzero(marks.array > 0.5)) // mesh.dimension
-
-
-def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
-    """Global node numbers of local ones (int64)."""
-    return space.dofmap.index_map.local_to_global(np.asarray(nodes, dtype=np.int32)).astype(np.int64)
 
 
 def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: str) -> tuple:
@@ -382,7 +318,7 @@ def _material_fields(mesh: JointMesh, materials: Mapping[str, Material], plane: 
 
 def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: float, dx) -> Load:
     if isinstance(load, BoundaryForce):
-        forces = mean_over_boundary(space, _outer_facets(mesh, load, "load"), load.force)
+        forces = mean_over_boundary(space, outer_facets(mesh, "load", load.name, load.boundary), load.force)
     else:
         along = np.array(load.axis) / np.linalg.norm(load.axis)
         across = (np.eye(3) - np.outer(along, along))[: mesh.dimension, : mesh.dimension]
@@ -402,19 +338,6 @@ def _clamped_dofs(mesh: JointMesh, space, clamp: Iterable[str]) -> np.ndarray:
         found = dolfinx.fem.locate_dofs_topological(space, mesh.domain.topology.dim - 1, boundary_facets(mesh, name))
         nodes.append(local_to_global(space, found[found < space.dofmap.index_map.size_local]))
     return list_dofs(np.unique(np.concatenate(nodes)), mesh.dimension).ravel()
-
-
-def list_dofs(nodes: np.ndarray, dimension: int) -> np.ndarray:
-    """Degrees of freedom of nodes ``(n,)``, by component ``(n, dimension)``."""
-    return dimension * np.asarray(nodes)[:, None] + np.arange(dimension)
-
-
-def _tag(known: Mapping[str, int], name: str, kind: str) -> int:
-    if name not in known:
-        raise MeshError(
-            f'no {kind} named "{name}" in the mesh; there are {", ".join(known) or "none"}{nearest(name, known)}'
-        )
-    return known[name]
 
 
 def _unit(output: OutputSpec) -> np.ndarray:

@@ -15,7 +15,7 @@ import scipy.sparse
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
-from ewr_fenicsx.structure import elasticity, facing
+from ewr_fenicsx.structure import boundaries, elasticity, facing
 
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
@@ -199,7 +199,7 @@ def _find_bodies_on(structure: elasticity.Structure, name: str) -> tuple[str, ..
     outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
     facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
     nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
-    return facing.find_facing_bodies(mesh, facets, structure.part[elasticity.local_to_global(space, nodes)])
+    return facing.find_facing_bodies(mesh, facets, structure.part[boundaries.local_to_global(space, nodes)])
 
 
 def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:
@@ -217,20 +217,20 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     """The nodes of one body on one boundary, from all ranks, in no particular order (but the same everywhere)."""
     mesh, space = structure.mesh, structure.space
     domain, d = mesh.domain, mesh.dimension
-    facets = elasticity.boundary_facets(mesh, flank)
+    facets = boundaries.boundary_facets(mesh, flank)
     domain.topology.create_connectivity(d - 1, d)
     cells_of = domain.topology.connectivity(d - 1, d)
     in_body = facing.find_body_of_cells(mesh) == mesh.bodies[body]
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
-    size = elasticity.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]
-    normal = elasticity.integrate_over_boundary(space, mine).array.reshape(-1, d)
-    products = [elasticity.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
+    size = boundaries.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]
+    normal = boundaries.integrate_over_boundary(space, mine).array.reshape(-1, d)
+    products = [boundaries.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
     turn = _measure_turn(size, normal, np.stack(products, axis=1))
     local = dolfinx.fem.locate_dofs_topological(space, d - 1, mine)
     local = np.unique(local[local < space.dofmap.index_map.size_local])
     columns = (
-        elasticity.local_to_global(space, local),
+        boundaries.local_to_global(space, local),
         space.tabulate_dof_coordinates()[local, :d],
         normal[local],
         size[local] * structure.thickness,
@@ -368,6 +368,6 @@ def _relative_motion(plus: np.ndarray, minus: np.ndarray, axis: np.ndarray, size
     """Rows ``(u_plus - u_minus) . axis``."""
     d = axis.shape[1]
     pairs = np.repeat(np.arange(len(plus)), 2 * d)
-    columns = np.hstack([elasticity.list_dofs(nodes, d) for nodes in (plus, minus)]).ravel()
+    columns = np.hstack([boundaries.list_dofs(nodes, d) for nodes in (plus, minus)]).ravel()
     values = np.concatenate([axis, -axis], axis=1).ravel()
     return scipy.sparse.csr_matrix((values, (pairs, columns)), shape=(len(plus), size))

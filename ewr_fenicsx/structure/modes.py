@@ -13,7 +13,8 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from ewr_fenicsx.errors import ModesError
-from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect, list_dofs
+from ewr_fenicsx.structure.boundaries import list_dofs
+from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect
 from ewr_fenicsx.structure.interface import Interface
 
 LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger

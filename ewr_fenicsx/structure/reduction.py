@@ -25,8 +25,9 @@ from petsc4py import PETSc
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.columns import blocks, factorise, multiply, stack_columns
-from ewr_fenicsx.structure.elasticity import Structure, list_dofs
+from ewr_fenicsx.structure.elasticity import Structure
 from ewr_fenicsx.structure.interface import Interface, tell_place
 from ewr_fenicsx.structure.modes import Modes, find_floating_parts, full_stick_modes, solve_modes
 from ewr_fenicsx.structure.orientation import group_equal, orient_modes

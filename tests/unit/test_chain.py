@@ -130,7 +130,7 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     pile = str(BLOCKS.with_name("pile.py"))
     (tmp_path / "scene.toml").write_text(write_blocks(source=pile))
     (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
-    assert 'boundary "lid" holds curves of' in doubt and "a joint is between blade and disk, on joint;" in doubt
+    assert 'boundary "lid" lies on' in doubt and "a joint is between blade and disk, on joint;" in doubt
 
 
 def test_one_group_may_hold_both_bodies_or_be_followed_on_both(tmp_path):

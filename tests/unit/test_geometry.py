@@ -9,7 +9,8 @@ import gmsh
 import numpy as np
 import pytest
 
-from ewr_fenicsx.structure.mesh import evaluate_scaled_jacobian, load_builder
+from ewr_fenicsx.structure.gmsh_inspection import evaluate_scaled_jacobian
+from ewr_fenicsx.structure.mesh import load_builder
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
 FIR_TREE, DOVETAIL = GEOMETRY / "fir_tree.py", GEOMETRY / "dovetail.py"

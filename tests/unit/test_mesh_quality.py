@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ewr_fenicsx.structure.mesh import evaluate_scaled_jacobian
+from ewr_fenicsx.structure.gmsh_inspection import evaluate_scaled_jacobian
 
 
 def transform(corners, angle: float = 0.3, size: float = 7.0) -> np.ndarray:

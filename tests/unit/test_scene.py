@@ -53,10 +53,10 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[elasticity]\ndegree = 3", r"elasticity\.degree = 3: should be 1 or 2"),
         ("[reduction]\nmodes = 2.5", r"reduction\.modes = 2\.5: should be a whole number"),
         (
-            "[loads.s]\nboundary = 'tip'\nforce = [0, 1, 0]",
-            r"loads\.s\.force = \[0, 1, 0\]: has too many entries: 3, and only 2 mean something$",
+            "[loads.s]\nboundary = 'tip'\nforce = [0, 1, 0, 1]",
+            r"loads\.s\.force = \[0, 1, 0, 1\]: has too many entries: 4, and only 3 mean something$",
         ),
-        ("[loads.s]\nboundary = 'tip'\nforce = [1]", r"loads\.s\.force = \[1\]: has too few entries$"),
+        ("[loads.s]\nboundary = 'tip'\nforce = [1]", r"loads\.s\.force = \[1\]: has too few entries; give at least 2$"),
         ("[supports]\nclamp = 'clamp'", r"supports\.clamp = 'clamp': should be a list"),
         ("[solver]\nharmonics = '5'", r"solver\.harmonics = '5': should be a whole number, or should be a list"),
         ("[solver]\nharmonics = [1, 3]", r'solver\.harmonics = \[1, 3\] leave out harmonic 0, .* "pull" acts'),
@@ -95,7 +95,7 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[loads.s]\nspeed = 9000", r'loads\.s\.speed = 9000: unknown key; it belongs to kind = "rotation"$'),
         ("[damping]\nratio = 0.01", r'damping\.ratio = 0\.01: unknown key; it belongs to kind = "modal"$'),
         ("[outputs]\ntip = 'tip'", r"outputs\.tip = 'tip': should be a table$"),
-        ("[loads.s]\nboundary = 'tip'\nforce = []", r"loads\.s\.force = \[\]: has too few entries$"),
+        ("[loads.s]\nboundary = 'tip'\nforce = []", r"loads\.s\.force = \[\]: has too few entries; give at least 2$"),
         (
             "[solver]\nharmonics = [0, 1.0]",
             r"toml: solver\.harmonics\.1 = 1\.0: .* a whole number, .* exponent: 1$",

@@ -1,0 +1,122 @@
+"""Named boundaries of a mesh: their facets, integrals of shape functions over them, and the numbers of nodes there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import dolfinx
+import numpy as np
+import ufl
+from petsc4py import PETSc
+
+from ewr_fenicsx.errors import MeshError, nearest
+from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.facing import find_facing_bodies
+from ewr_fenicsx.structure.mesh import JointMesh
+
+
+def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
+    """Local numbers of a named boundary's facets, ghosts included.
+
+    Raises:
+        MeshError: No such boundary, or one without facets.
+    """
+    facets = mesh.facet_tags.find(find_tag(mesh.boundaries, name, "boundary"))
+    if mesh.domain.comm.allreduce(len(facets)) == 0:
+        raise MeshError(f'boundary "{name}" has no facet; is it the edge or face of a meshed body?')
+    return np.unique(facets).astype(np.int32)
+
+
+def outer_facets(mesh: JointMesh, what: str, name: str, boundary: str) -> np.ndarray:
+    """``boundary_facets`` of a boundary that must be no flank, nor be inside, where no integral over it sees it.
+
+    Args:
+        mesh: With its boundaries.
+        what: "load" or "output", which is on the boundary.
+        name: Of the load or output.
+        boundary: Physical name.
+
+    Raises:
+        MeshError: As ``boundary_facets``, or such a boundary.
+    """
+    facets, topology = boundary_facets(mesh, boundary), mesh.domain.topology
+    topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
+    owned = facets[facets < topology.index_map(mesh.dimension - 1).size_local]
+    inside = np.setdiff1d(owned, dolfinx.mesh.exterior_facet_indices(topology))
+    counts = [mesh.domain.comm.allreduce(len(f)) for f in (inside, owned)]
+    if counts[0]:
+        raise MeshError(
+            f'boundary "{boundary}": {counts[0]} of its {counts[1]} facets lie inside, with a cell on either '
+            f"side; a load or an output needs {'an edge' if mesh.dimension == 2 else 'a face'} of the bodies"
+        )
+    if bodies := find_facing_bodies(mesh, owned):
+        each = "each would carry a part of the load" if what == "load" else "the output would be the mean over both"
+        raise MeshError(
+            f'{what}s.{name}.boundary = "{boundary}" is a flank: it lies on both bodies, '
+            f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
+        )
+    return facets
+
+
+def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
+    """``integral N_k w ds`` over exterior facets [m, of solids m^2]; ``w`` is a constant direction, or the outward
+    normal (None)."""
+    domain = space.mesh
+    # a constant enters the compiled code as data: one compilation serves every direction
+    w = (
+        ufl.FacetNormal(domain)
+        if direction is None
+        else dolfinx.fem.Constant(domain, np.array(direction, dtype=PETSc.ScalarType))
+    )
+    return _integrate_field(space, facets, w)
+
+
+def integrate_normals(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
+    """``integral N_k (n . e) n ds`` over exterior facets, as ``integrate_over_boundary``; ``n`` the outward normal."""
+    n = ufl.FacetNormal(space.mesh)
+    e = dolfinx.fem.Constant(space.mesh, np.array(direction, dtype=PETSc.ScalarType))
+    return _integrate_field(space, facets, ufl.inner(e, n) * n)
+
+
+def _integrate_field(space, facets: np.ndarray, w) -> PETSc.Vec:
+    domain = space.mesh
+    tags = dolfinx.mesh.meshtags(domain, domain.topology.dim - 1, facets, np.ones(len(facets), dtype=np.int32))
+    ds = ufl.Measure("ds", domain=domain, subdomain_data=tags, subdomain_id=1)
+    form = ufl.inner(w, ufl.TestFunction(space)) * ds
+    return _compat.assemble_vector(_compat.compile_form(form, "a boundary integral"))
+
+
+def mean_over_boundary(space, facets: np.ndarray, direction: Sequence[float]) -> PETSc.Vec:
+    """Row of the mean displacement along ``direction``; also the nodal forces of that resultant spread evenly."""
+    row = integrate_over_boundary(space, facets, direction)
+    along_x = integrate_over_boundary(space, facets, np.eye(len(direction))[0])
+    row.scale(1.0 / along_x.sum())
+    return row
+
+
+def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
+    """Global node numbers of local ones (int64)."""
+    return space.dofmap.index_map.local_to_global(np.asarray(nodes, dtype=np.int32)).astype(np.int64)
+
+
+def list_dofs(nodes: np.ndarray, dimension: int) -> np.ndarray:
+    """Degrees of freedom of nodes ``(n,)``, by component ``(n, dimension)``."""
+    return dimension * np.asarray(nodes)[:, None] + np.arange(dimension)
+
+
+def find_tag(known: Mapping[str, int], name: str, kind: str) -> int:
+    """Tag of a body or boundary by its name.
+
+    Args:
+        known: Name -> tag.
+        name: Which one.
+        kind: "body" or "boundary", for the message.
+
+    Raises:
+        MeshError: There is none of that name.
+    """
+    if name not in known:
+        raise MeshError(
+            f'no {kind} named "{name}" in the mesh; there are {", ".join(known) or "none"}{nearest(name, known)}'
+        )
+    return known[name]
