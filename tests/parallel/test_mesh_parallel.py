@@ -31,7 +31,7 @@ if found:
 """
 
 
-@pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py"])
+@pytest.mark.parametrize("name", ["fir_tree.py", "dovetail.py", "extruded.py"])
 def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
     script = tmp_path / "count.py"
     script.write_text(COUNT.format(tests=str(TESTS), source=str(GEOMETRY / name), parameters={}))
