@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.output import mesh_plots, plots
+from ewr_fenicsx.output import mesh_plots, plots, solid_plots
 from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
@@ -85,8 +85,9 @@ def write_results(
     compiled = _compat.measure_compilation()
     with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
         write_fields(draft, chain, solution)
-        mesh_plots.draw_mesh(draft / "mesh.png", chain)
-        mesh_plots.draw_mode(draft / "full_stick_mode.png", chain)
+        pictures = mesh_plots if chain.mesh.dimension == 2 else solid_plots
+        pictures.draw_mesh(draft / "mesh.png", chain)
+        pictures.draw_mode(draft / "full_stick_mode.png", chain)
         if write_more:
             write_more(draft)
         memory = comm.gather(measure_memory(), root=0)

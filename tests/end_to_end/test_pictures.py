@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,8 +18,9 @@ from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
-from ewr_fenicsx.output import plots
+from ewr_fenicsx.output import plots, solid_plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
+from ewr_fenicsx.output.gathering import gather_cells
 from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, sample_friction_limit
@@ -361,3 +363,74 @@ def test_normals_at_the_edge_of_the_joint_have_room(wide, high):
     arrow = 0.11 * max(wide, high)
     for (low, top), reach in ((axes.get_xlim(), wide), (axes.get_ylim(), high)):
         assert low < -arrow and top > reach + arrow
+
+
+@pytest.fixture(scope="module")
+def solid(tmp_path_factory):
+    """A dovetail of hexahedra, pulled and shaken askew."""
+    scene = tmp_path_factory.mktemp("solid") / "scene.toml"
+    entries = (
+        f'[geometry]\nsource = "{ROOT / "geometry" / "extruded.py"}"',
+        'parameters = { profile = "dovetail", pairs = 4, layers = 2, mesh_size = 5e-3 }',
+        '[loads.pull]\nboundary = "tip"\nforce = [0.0, 4000.0, 0.0]',
+        '[loads.shake]\nboundary = "tip"\nforce = [30.0, 0.0, 40.0]\nharmonic = 1',
+        "[excitation]\nfrequency = 1000.0",
+    )
+    scene.write_text("\n".join(entries))
+    return build_chain(load_scene(scene, warn=False))
+
+
+def draw_solid(monkeypatch, draw, path, chain):
+    """The figure that a picture of a solid is made of; warnings are errors."""
+    figures, write = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *given, **more: (figures.append(figure), write(figure, *given, **more))
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        draw(path, chain)
+    assert path.stat().st_size > 10_000
+    return figures[0]
+
+
+def test_a_solid_is_drawn_with_its_joint_and_loads(solid, monkeypatch, tmp_path):
+    figure = draw_solid(monkeypatch, solid_plots.draw_mesh, tmp_path / "mesh.png", solid)
+    whole, joint = figure.axes
+    told = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in (whole, joint)]
+    assert told[0] == ["held: clamp", "pull: 4000 N, static", "shake: 50 N at 1000 Hz"]
+    assert told[1] == ["left, 12 pairs", "right, 12 pairs", "outward normal of the blade"]
+    assert joint.get_title() == "joint: 24 pairs"
+    dots = [line for line in joint.lines if line.get_marker() == "o"]
+    places = np.concatenate([np.transpose(line.get_data_3d()) for line in dots])
+    np.testing.assert_allclose(places[:, [1, 2, 0]], 1e3 * solid.interface.position, err_msg="y upwards")
+    (pull, shake), _ = ([arrow for arrow in list_arrows(axes) if np.ptp(arrow) > 0] for axes in (whole, joint))
+    assert pull[1][1] > pull[0][1] and pull[1][0] == pytest.approx(pull[0][0]), "upwards"
+    assert shake[1][0] > shake[0][0]
+
+
+def test_nothing_is_printed_over_anything_else_of_a_solid(solid, monkeypatch, tmp_path):
+    """Numbers, names of axes, titles and legends."""
+    figure = draw_solid(monkeypatch, solid_plots.draw_mesh, tmp_path / "mesh.png", solid)
+    boxes, canvas = {}, FigureCanvasAgg(figure)
+    canvas.draw()
+    for axes in figure.axes:
+        shown = [axes.title, axes.get_legend(), *(text for text in axes.texts if text.get_text())]
+        assert sum(isinstance(text, Text) and "[mm]" in text.get_text() for text in shown) == 3
+        boxes |= {text: text.get_window_extent(canvas.get_renderer()) for text in shown}
+    everywhere = figure.bbox
+    for k, (text, box) in enumerate(boxes.items()):
+        assert everywhere.x0 <= box.x0 and box.x1 <= everywhere.x1 and everywhere.y0 <= box.y0
+        # names of axes stand askew, and so do not fill their boxes
+        over = [other for other, there in list(boxes.items())[:k] if box.overlaps(there)]
+        assert not [other for other in over if not {getattr(t, "_rotation", 0) for t in (text, other)} - {0, 90}]
+
+
+def test_the_mode_of_a_solid_is_drawn_over_its_outline(solid, monkeypatch, tmp_path):
+    figure = draw_solid(monkeypatch, solid_plots.draw_mode, tmp_path / "mode.png", solid)
+    axes, bar = figure.axes
+    assert figure._suptitle.get_text() == f"full-stick mode 1: {solid.reduction.full_stick.frequency[0]:.1f} Hz"
+    assert bar.get_ylabel() == "displacement / its largest value"
+    outline, faces = axes.collections
+    cells = gather_cells(solid)
+    assert len(outline.get_segments()) == len(cells.outline())
+    assert len(faces.get_facecolor()) == len(cells.body) and len(np.unique(faces.get_facecolor(), axis=0)) > 20

@@ -47,8 +47,8 @@ ORDER = {
         "columns", "orientation", "reduction", "chain",
     ],
     "output": [
-        "gathering", "plots", "mesh_plots", "cost_plots", "folder_lock", "result_folder", "work_folder", "output",
-        "wear_fields",
+        "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",
+        "output", "wear_fields",
     ],
     "runs": ["petsc_options", "findings", "study", "cost_report"],
 }
