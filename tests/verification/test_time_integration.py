@@ -222,10 +222,12 @@ def test_motion_of_twice_the_period_is_not_called_steady():
 
 
 def test_without_a_tolerance_all_periods_are_stepped():
-    """Also where nothing moves, and nothing changes at all."""
+    """Also where nothing moves, and nothing changes at all: that is not called unsteady where nobody asked."""
     at_rest = ContactProblem(replace(stop_oscillator(), load={}), ContactLaws(tangential="frictionless"), 0.16)
     result = integrate(at_rest, steps=64, periods=7, tolerance=0)
-    assert result.periods == 7 and result.reason == "not steady after 7 periods"
+    assert result.periods == 7 and result.reason == "not asked whether steady (tolerance = 0)"
+    assert "not asked whether steady (tolerance = 0) after 7 periods" in result.summary()
+    assert "NOT steady" not in result.summary()
     assert integrate(at_rest, steps=64, periods=7).periods < 7
 
 
