@@ -162,7 +162,8 @@ def evolve_wear(
     Args:
         problem: The unworn joint (or a worn one: its ``wear`` is where the depth starts).
         cycles: Number of cycles to follow.
-        coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear.
+        coefficient: Wear coefficient ``k_w`` [1/Pa], scalar or ``(K_c,)``; zero where a pair does not wear. It counts
+            for nothing at pairs that cannot part (bonded, or under a given normal force) or whose tangents are bonded.
         jump: Error control of jumps over many cycles at once, ``Tolerance()`` as a scene has it; None: every cycle is
             solved.
         keep_every: Steps are kept at least so many cycles apart; the first and last always are.
