@@ -22,8 +22,8 @@ _STEADILY = 10  # periods, each of which has to change less than the one before,
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
     """Periods missing to a tolerance where each one changes less than the one before; 0 where not, or none is set."""
     last = np.array(changes[-_STEADILY - 1 :])
-    if not tolerance or last.size <= _STEADILY or not np.all(last > 0) or not np.all(np.diff(last) < 0):
-        return 0
+    if not tolerance or last.size <= _STEADILY or not np.all(np.diff(last) < 0) or not 0 < last[-1] < last[0] < np.inf:
+        return 0  # the change of the first period is infinite
     return int(np.ceil(_STEADILY * np.log(tolerance / last[-1]) / np.log(last[-1] / last[0])))
 
 

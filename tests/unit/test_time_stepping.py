@@ -14,7 +14,7 @@ from small_models import bar_against_wall, dovetail, lift_off_oscillator
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time import time_stepping
-from ewr_fenicsx.in_time.periodicity import Watch
+from ewr_fenicsx.in_time.periodicity import Watch, count_missing
 from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
 from ewr_fenicsx.solver.time_integration import State, integrate, resample
 
@@ -403,6 +403,13 @@ def test_a_period_so_long_that_inertia_is_lost_is_refused():
     told = r"frequency = 1e-12 Hz: with 800 steps a period, inertia is lost .* more steps"
     with pytest.raises(ModelError, match=told):
         TimeScheme(ContactProblem(bar, ContactLaws(tangential="frictionless"), 1e-12, 3), 800)
+
+
+@pytest.mark.parametrize(("periods", "missing"), [(11, 0), (12, 100), (40, 72)])
+def test_missing_periods_are_told_from_ten_changes_that_fall_steadily(periods, missing):
+    """The first period has none before it: its change is infinite, and tells nothing."""
+    changes = [np.inf, *(0.9**k for k in range(periods - 1))]
+    assert count_missing(changes, 1e-5) == missing
 
 
 def test_importing_the_module_does_not_load_numba():
