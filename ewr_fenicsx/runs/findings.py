@@ -202,7 +202,7 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
             f"  estimated errors up to {worst:.1g} of {history.accuracy:g} asked, highest harmonics "
             f"{min(tops)} to {max(tops)}, {modes} modes"
         )
-        told = f"  NOT as accurate as asked after {list_few(history.short, 'numbers of')} cycles"
+        told = f"  NOT as accurate as asked at {list_few(history.short, 'steps')} cycles"
         lines += [told] if history.short.size else []
     if history.rough:
         lines.append(

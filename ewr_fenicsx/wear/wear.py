@@ -57,7 +57,7 @@ class WearHistory:
     def __repr__(self) -> str:
         told = f"stopped {self.stopped}" if self.stopped else "to the last one"
         told += f"; NOT within the tolerance at {self.rough} cycles" if self.rough else ""
-        told += f"; NOT as accurate as asked at {len(self.short)} of them" if len(self.short) else ""
+        told += f"; NOT as accurate as asked at {len(self.short)} of the steps" if len(self.short) else ""
         return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
 
     @cached_property

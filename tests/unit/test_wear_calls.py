@@ -72,6 +72,14 @@ def test_a_joint_that_does_not_slide_is_solved_once(jump):
     assert "  nothing wears from cycle 0 on: no pair that may wear slides while it is pressed" in lines
 
 
+@pytest.mark.parametrize("cycles, told", [(2, "1, 2"), (7, "7 steps from 1 to 7")])
+def test_steps_that_fall_short_share_a_line(cycles, told):
+    history = evolve_wear(pose(), cycles, WEAR)
+    steps = (history.steps[0], *(replace(step, estimate=0.2) for step in history.steps[1:]))
+    lines = tell_wear(replace(history, steps=steps, accuracy=0.1), 1.0, 5)
+    assert f"  NOT as accurate as asked at {told} cycles" in lines
+
+
 def test_the_mean_depth_is_the_volume_over_the_area():
     """Pairs stand for areas of their own: at the ends of a flank for half of the others'."""
     history = evolve_wear(pose(), 2, WEAR)
@@ -265,6 +273,6 @@ def test_a_single_cycle_takes_every_fallback(monkeypatch):
 def test_wear_that_falls_short_of_its_accuracy_says_so():
     """A limit of five harmonics; without an accuracy there is nothing to fall short of."""
     history = evolve_wear(pose(), 3, WEAR, accuracy=1e-6, highest=5)
-    assert history.short.tolist() == [0, 1, 2, 3] and "NOT as accurate as asked at 4 of them" in repr(history)
+    assert history.short.tolist() == [0, 1, 2, 3] and "NOT as accurate as asked at 4 of the steps" in repr(history)
     for kept in (evolve_wear(pose(), 3, WEAR), evolve_wear(pose(), 3, WEAR, accuracy=0.9)):
         assert kept.short.size == 0 and "NOT" not in repr(kept)
