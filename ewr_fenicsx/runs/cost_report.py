@@ -107,7 +107,8 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
 
 def time_run(chain: Chain) -> dict[str, float]:
     """Seconds of a run by stage: the chain as it was built, one solve, and writing results, which are thrown away."""
-    solution = solve(pose_problem(chain.scene, chain.reduction.model, chain.interface))
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    solution = solve(problem, tolerance=chain.scene.solver.tolerance)
     newton = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}
     comm = chain.mesh.domain.comm
     with TemporaryDirectory() as own:

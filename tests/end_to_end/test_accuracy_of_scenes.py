@@ -239,6 +239,15 @@ def test_the_costs_of_a_sweep_name_the_frequency_that_they_are_of(tmp_path, monk
     assert "stages of a run without its sweep: mesh " in report.told
 
 
+def test_the_run_that_is_timed_is_solved_as_closely_as_the_scene_asks(tmp_path, monkeypatch):
+    asked, solve = [], cost_report.solve
+    monkeypatch.setattr(cost_report, "solve", lambda *given, **more: asked.append(more) or solve(*given, **more))
+    scene = load_scene(write_scene(tmp_path))
+    loose = scene.model_copy(update={"solver": scene.solver.model_copy(update={"tolerance": 1e-4})})
+    assert "write" in cost_report.time_run(build_chain(loose))
+    assert asked == [{"tolerance": 1e-4}]
+
+
 def test_what_a_setting_is_said_to_reach_allows_for_the_error_of_the_reference(tmp_path, monkeypatch):
     """0.4 % off a reference that may itself be 0.7 % off is no 1 %."""
     row = {"knob": "N", "value": 3, "unknowns": 9, "steps": 5, "seconds": 0.1, "converged": True}
