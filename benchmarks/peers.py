@@ -39,8 +39,8 @@ from models import ROOT, find_first_mode, two_trusses
 from reporting import describe_machine, print_table, write_json
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
+from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.solution.solution import PeriodicSolution
-from ewr_fenicsx.solver.time_integration import State
 
 ENVIRONMENT = ROOT / "build" / "peers"
 REQUIREMENT = "pyHarm-os==1.2.2"

@@ -19,7 +19,8 @@ from ewr_fenicsx.given import ComplexArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.continuation import BranchPoint, measure_arc, retraces, trace_branch
-from ewr_fenicsx.solver.newton import attend_to_faint_forces, solve, wrap
+from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
+from ewr_fenicsx.solver.newton import solve, wrap
 from ewr_fenicsx.solver.snes import Attempt
 from ewr_fenicsx.solver.warm_starts import list_predicted, try_starts
 from ewr_fenicsx.solver.weights import adopt_weights

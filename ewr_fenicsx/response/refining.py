@@ -15,8 +15,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ewr_fenicsx.accuracy.accuracy import FIRST_ORDER, AccurateSolution, solve_to_accuracy
-from ewr_fenicsx.accuracy.estimates import estimate_errors, measure_distance, read_response
+from ewr_fenicsx.accuracy.accuracy import AccurateSolution, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import FIRST_ORDER, estimate_errors, measure_distance, read_response
 from ewr_fenicsx.accuracy.levels import GROWTH
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.problem.contact_problem import ContactProblem

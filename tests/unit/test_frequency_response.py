@@ -18,7 +18,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, solve
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.response import following, frequency_sweep, response_curve, sweep_store
 from ewr_fenicsx.response.following import Jump, agree
-from ewr_fenicsx.response.frequency_sweep import FrequencyResponse
+from ewr_fenicsx.response.response_curve import FrequencyResponse
 from ewr_fenicsx.response.solution_store import restore, strip
 from ewr_fenicsx.solution import solution as solutions
 

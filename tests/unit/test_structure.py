@@ -94,6 +94,16 @@ def test_imports_go_upward(name):
     assert imports_of(parse(name)) - set(PLACES[: PLACES.index(name)]) == set()
 
 
+@every_module
+def test_names_are_imported_from_where_they_are_defined(name):
+    """Not from a module that has them from another: imports tell which file to open."""
+    found = [node for node in ast.walk(parse(name)) if isinstance(node, ast.ImportFrom)]
+    for node in found:
+        if (home := node.module.removeprefix("ewr_fenicsx.")) in MODULES:
+            lent = {a.name for n in parse(home).body if isinstance(n, ast.ImportFrom) for a in n.names}
+            assert not lent & {alias.name for alias in node.names}, f"{home} has them from elsewhere"
+
+
 def test_the_core_imports_no_finite_elements():
     """Whoever has matrices of their own needs neither dolfinx nor gmsh."""
     script = (

@@ -15,8 +15,8 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time import time_stepping
 from ewr_fenicsx.in_time.periodicity import Watch, count_missing
-from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
-from ewr_fenicsx.solver.time_integration import State, integrate, resample
+from ewr_fenicsx.in_time.time_stepping import Carried, Period, State, TimeScheme
+from ewr_fenicsx.solver.time_integration import integrate, resample
 
 
 def chain_of(pairs: int, seed: int = 0, damping: str = "proportional", press: float = 12.0) -> ReducedModel:

@@ -11,7 +11,8 @@ import pytest
 from small_models import friction_oscillator, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
-from ewr_fenicsx.solver.time_integration import State, integrate
+from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.solver.time_integration import integrate
 
 
 def den_hartog_amplitude(beta: float, share: float) -> float:
