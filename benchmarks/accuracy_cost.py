@@ -33,7 +33,6 @@ from scipy.optimize import minimize_scalar
 
 from ewr_fenicsx import ContactProblem, Tolerance, evolve_wear, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy.cost import (
-    ERRORS,
     HIGHEST_VARIANT,
     Figures,
     Setting,
@@ -298,7 +297,7 @@ def main() -> None:
         kept = [r for r in content["rows"] if r["knob"] != "accuracy asked for"]
         return keep("accuracies", rows=kept + ask_for_accuracy(problem, reference, (0.1, 0.03, 0.01)))
     found = {"own_error": own, "agreement": agreement, "high_order": high.harmonics}
-    keep("reference", quick=quick, errors=ERRORS, frequency=problem.frequency, **found)
+    keep("reference", quick=quick, errors=list(agreement), frequency=problem.frequency, **found)
     settings = list_settings(problem, orders, fixed=5 if quick else 9)
     zero = replace(problem, laws=replace(problem.laws, static_friction="zero"))
     settings += [

@@ -26,17 +26,6 @@ SAMPLES = 800  # of the period, for figures that are integrals or maxima
 HIGHEST = 63  # harmonic of the outputs that is compared
 HIGHEST_VARIANT = 23  # N up to which other weights, samples and sets of harmonics are tried; springs at all
 LOOSE = 1e-4  # tolerance of the solver that is enough for errors of a per mille
-ERRORS = (
-    "output",
-    "rms",
-    "J_T",
-    "largest normal force",
-    "normal forces",
-    "deepest wear",
-    "wear",
-    "signorini",
-    "coulomb",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +81,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
 
 
 def compare_figures(here: Figures, there: Figures) -> dict[str, float]:
-    """Relative errors of ``here`` against the reference ``there``, and violations, by the names in ``ERRORS``."""
+    """Relative errors of ``here`` against the reference ``there``, and violations, by name."""
     off = lambda a, b: float(np.linalg.norm(a - b) / (np.linalg.norm(b) or 1.0))  # noqa: E731
     apart = lambda of: float(abs(of(here) - of(there)) / (abs(of(there)) or 1.0))  # noqa: E731
     # the mean over pairs and the L2 norm of the distribution differ where errors of pairs cancel
