@@ -19,8 +19,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
-from ewr_fenicsx.laws.law_kinds import choose_friction_weight
-from ewr_fenicsx.laws.planar_coulomb import PLANE
+from ewr_fenicsx.laws.law_kinds import TANGENTS, choose_friction_weight
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
@@ -140,7 +139,7 @@ def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArra
 
 def measure_in_plane(system: ContactSystem, values: RealArray) -> RealArray:
     """Sizes of values at the rows, ``(..., m)``; along the two tangents of a pair both are that of the whole."""
-    sizes, (first, second) = np.abs(values), (system.row_of(d, np.arange(system.model.pairs)) for d in PLANE)
+    sizes, (first, second) = np.abs(values), (system.row_of(d, np.arange(system.model.pairs)) for d in TANGENTS)
     both = (first >= 0) & (second >= 0)
     first, second = first[both], second[both]
     sizes[..., first] = sizes[..., second] = np.hypot(values[..., first], values[..., second])

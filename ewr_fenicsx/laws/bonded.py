@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.law_kinds import Law, LawKind, MeanBound, Motion, PairGroup, Partial, Response, register_law
+from ewr_fenicsx.laws.law_kinds import (
+    TANGENTS,
+    Law,
+    LawKind,
+    MeanBound,
+    Motion,
+    PairGroup,
+    Partial,
+    Response,
+    register_law,
+)
 
 
 @register_law("normal", "bonded")
@@ -42,7 +52,7 @@ class BondedTangential(LawKind):
     odd = blind_to_mean = True
 
     def holds(self, tangents: int) -> tuple[str, ...]:
-        return ("tangential", "second_tangential")[:tangents]
+        return TANGENTS[:tangents]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw, project_on_cone
 from ewr_fenicsx.laws.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.laws.law_kinds import (
+    TANGENTS,
     Law,
     LawKind,
     MeanBound,
@@ -27,7 +28,7 @@ from ewr_fenicsx.laws.law_kinds import (
     register_law,
 )
 from ewr_fenicsx.laws.mean_friction import StaticFriction, choose_mean_equation
-from ewr_fenicsx.laws.planar_coulomb import PLANE, build_in_plane
+from ewr_fenicsx.laws.planar_coulomb import build_in_plane
 from ewr_fenicsx.laws.smoothing import Rounded, round_clip, round_positive_part
 from ewr_fenicsx.laws.sprung_coulomb import SprungCoulomb
 
@@ -50,7 +51,7 @@ class DryFriction(LawKind):
     odd = blind_to_mean = True
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:
-        return PLANE[: max(1, tangents)]
+        return TANGENTS[: max(1, tangents)]
 
     def bound_mean(self, spread) -> MeanBound:
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))

@@ -22,6 +22,8 @@ from ewr_fenicsx.errors import ModelError, UnknownSignal, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 
 Side = Literal["normal", "tangential"]
+DIRECTIONS = ("normal", "tangential", "second_tangential")  # of contact rows, in their order
+TANGENTS = DIRECTIONS[1:]  # in the plane of contact: the first one alone in 2-D
 Variable = Literal["force", "force_rate", "displacement", "oscillation", "velocity", "acceleration"]
 
 

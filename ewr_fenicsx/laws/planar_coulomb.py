@@ -15,11 +15,9 @@ import numpy as np
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
-from ewr_fenicsx.laws.law_kinds import Law, Motion, PairGroup, Partial, Response
+from ewr_fenicsx.laws.law_kinds import TANGENTS, Law, Motion, PairGroup, Partial, Response
 from ewr_fenicsx.laws.mean_friction import MeanEquation
 from ewr_fenicsx.laws.smoothing import Rounded, round_clip, round_positive_part
-
-PLANE = ("tangential", "second_tangential")
 
 
 def build_in_plane(group: PairGroup, friction: RealArray, mean: MeanEquation) -> tuple[Law, ...]:
@@ -30,8 +28,8 @@ def build_in_plane(group: PairGroup, friction: RealArray, mean: MeanEquation) ->
         friction: ``(K,)`` coefficients.
         mean: What decides the mean friction, in both directions alike.
     """
-    rho = group.weight[PLANE[0]]  # that of both directions
-    return tuple(PlanarCoulomb(group.pairs, d, friction, rho, *mean) for d in PLANE)
+    rho = group.weight[TANGENTS[0]]  # that of both directions
+    return tuple(PlanarCoulomb(group.pairs, d, friction, rho, *mean) for d in TANGENTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class PlanarCoulomb(FrictionLaw):
         return 1 / self.rho
 
     def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
-        limit, size = self.limit(trial), np.hypot(*(trial[d] for d in PLANE))
+        limit, size = self.limit(trial), np.hypot(*(trial[d] for d in TANGENTS))
         return trial[self.direction] * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
 
     def evaluate(self, motion: Motion) -> Response:
@@ -74,7 +72,7 @@ class PlanarCoulomb(FrictionLaw):
 
     def try_stick(self, motion: Motion) -> tuple[dict[str, RealArray], RealArray]:
         """Components and size ``(n_t, K)`` of the force that would make the pair stick [N]."""
-        trial = {d: motion.force[d] - motion.velocity[d] / self.rho for d in PLANE}
+        trial = {d: motion.force[d] - motion.velocity[d] / self.rho for d in TANGENTS}
         return trial, np.hypot(*trial.values())
 
     def respond(
@@ -91,9 +89,9 @@ class PlanarCoulomb(FrictionLaw):
         ``by_size`` and ``by_normal`` are the derivatives of ``shrunk`` by ``size`` and by the normal force.
         """
         share = np.where(size > 0, shrunk / np.where(size > 0, size, 1.0), by_size)
-        toward = {d: trial[d] / np.where(size > 0, size, 1.0) for d in PLANE}
+        toward = {d: trial[d] / np.where(size > 0, size, 1.0) for d in TANGENTS}
         partials = [Partial("force", "normal", -by_normal * toward[self.direction])]
-        for d in PLANE:
+        for d in TANGENTS:
             own = float(d == self.direction)
             # in this form, exact where the pair sticks: rows that stick throughout are told by equal derivatives
             by_trial = share * own + (by_size - share) * toward[d] * toward[self.direction]

@@ -14,14 +14,14 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.contact_laws import ContactLaws
-from ewr_fenicsx.laws.law_kinds import Law, PairGroup, choose_friction_weight, spread_over_pairs
+from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, PairGroup, choose_friction_weight, spread_over_pairs
 from ewr_fenicsx.model.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.statics import takes_friction
 from ewr_fenicsx.problem.closure import find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
-from ewr_fenicsx.problem.layout import DIRECTIONS, Layout, demand_rows, lay_out
+from ewr_fenicsx.problem.layout import Layout, demand_rows, lay_out
 
 # Times the flexibility against stiffness and inertia together, above which a row's static one is that of soft springs,
 # far below their resonance, and not the pair's: five times a mode's frequency changes nothing.

@@ -8,8 +8,7 @@ from typing import get_args
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.laws.law_kinds import Law, Partial, Response, Variable
-from ewr_fenicsx.problem.layout import DIRECTIONS
+from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, Partial, Response, Variable
 
 
 def check_claims(law: Law) -> None:

@@ -15,14 +15,13 @@ import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.law_kinds import LawKind
+from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
 from ewr_fenicsx.model.compliance import receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 
 _ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
-DIRECTIONS = ("normal", "tangential", "second_tangential")  # in the order of the rows
 
 
 class Demand(NamedTuple):
@@ -123,8 +122,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
             f"by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
         )
     flexibility, mobility = measure_flexibility(kept, rows)
-    if {"tangential", "second_tangential"} <= index.keys():  # one for both: nothing depends on where they point
-        twins = np.array([index["tangential"], index["second_tangential"]])
+    if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
+        twins = np.array([index[direction] for direction in TANGENTS])
         twins = twins[:, np.all(twins >= 0, axis=0)]
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))

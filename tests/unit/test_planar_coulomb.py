@@ -15,8 +15,8 @@ from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time import time_stepping
-from ewr_fenicsx.laws.law_kinds import Motion
-from ewr_fenicsx.laws.planar_coulomb import PLANE, PlanarCoulomb
+from ewr_fenicsx.laws.law_kinds import TANGENTS, Motion
+from ewr_fenicsx.laws.planar_coulomb import PlanarCoulomb
 from ewr_fenicsx.output.output import contact_fields, write_pairs
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, list_histories
 from ewr_fenicsx.structure.interface import Interface
@@ -65,7 +65,9 @@ def test_each_derivative_is_exact_where_springs_hold_a_body():
     balance = HarmonicBalance(ContactProblem(model, ContactLaws(friction=0.4), 0.6, 3).system).firm
     assert np.all(balance.static_displacement_row[6:] > 0)
     compare_derivatives(balance, None)
-    laws = [replace(law, static_displacement_row=0.5) if law.direction in PLANE else law for law in balance.system.laws]
+    laws = [
+        replace(law, static_displacement_row=0.5) if law.direction in TANGENTS else law for law in balance.system.laws
+    ]
     compare_derivatives(HarmonicBalance(replace(balance.system, laws=tuple(laws))), None)  # as strong as the law
     quiet = block_on_feet({0: [0.1, 0.1, -3.0, 0.0, 0.0, 0.0], 1: [0.1, 0.05j, 0.02, 0.0, 0.0, 0.03]})
     balance = HarmonicBalance(ContactProblem(quiet, ContactLaws(friction=0.4), 0.6, 3).system)
@@ -94,7 +96,7 @@ def test_elimination_and_the_dense_jacobian_lead_to_the_same_solution():
 @given(*[st.floats(-5, 5)] * 5, st.floats(0.01, 10), st.floats(0, 2))
 def test_it_vanishes_on_coulomb_s_set_and_only_there(pressed, x, y, along, across, rho, friction):
     """Admissible forces are in the disk and nearest to the trial force; at the limit, sliding opposes the force."""
-    laws = [PlanarCoulomb(np.arange(1), d, np.array([friction]), np.array([rho]), 1.0, 0.0) for d in PLANE]
+    laws = [PlanarCoulomb(np.arange(1), d, np.array([friction]), np.array([rho]), 1.0, 0.0) for d in TANGENTS]
     seen = lambda **values: {name: np.array([[value]]) for name, value in values.items()}  # noqa: E731
     limit = friction * max(0.0, pressed)
     motion = Motion(
@@ -146,7 +148,7 @@ def test_every_time_step_obeys_coulomb_s_law_in_the_plane():
     problem = ride_in_grooves(7).problem
     result = integrate(problem, "rest", steps=100, periods=2, tolerance=0, contact_tolerance=1e-13)
     assert result.unsolved == 0
-    pressed, *rubs = (result.last.impulses[:, problem.system.row_of(d, np.arange(6))] for d in ("normal", *PLANE))
+    pressed, *rubs = (result.last.impulses[:, problem.system.row_of(d, np.arange(6))] for d in ("normal", *TANGENTS))
     names = ("slip_velocity", "second_slip_velocity")
     slips = [np.roll(result.history(name), -1, axis=0)[2:-1] for name in names]  # at the ends of steps
     pressed, *rubs = (impulse[2:-1] for impulse in (pressed, *rubs))  # the first ones follow the period before

@@ -11,7 +11,7 @@ from small_models import PROBLEMS, lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
-from ewr_fenicsx.laws.planar_coulomb import PLANE
+from ewr_fenicsx.laws.law_kinds import TANGENTS
 from ewr_fenicsx.solver import ladder, newton_path
 from ewr_fenicsx.solver import splitting as splitting_module
 from ewr_fenicsx.solver.splitting import FEWEST_SAMPLES, Splitting, can_split, resample, settle
@@ -77,7 +77,7 @@ def test_friction_in_a_plane_is_a_projection_too(name):
     for law, motion in zip(balance.system.laws, seen, strict=True):
         if law.direction == "normal":
             continue
-        trial = {d: motion.force[d] - law.impedance * motion.velocity[d] for d in PLANE}
+        trial = {d: motion.force[d] - law.impedance * motion.velocity[d] for d in TANGENTS}
         residual, force = law.evaluate(motion).residual, motion.force[law.direction]
         np.testing.assert_allclose(residual, force - law.admit({**motion.force, **trial}), atol=1e-12)
         slips += np.count_nonzero(law.fields(motion)["slipping"])

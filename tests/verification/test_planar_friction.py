@@ -18,7 +18,7 @@ from small_models import block_on_feet, friction_oscillator, sled_in_a_plane
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.accuracy.accuracy import solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
-from ewr_fenicsx.laws.planar_coulomb import PLANE
+from ewr_fenicsx.laws.law_kinds import TANGENTS
 from ewr_fenicsx.problem.dashpots import match_mobility
 from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact
 from ewr_fenicsx.wear.archard import measure_wear_rate
@@ -112,7 +112,7 @@ def test_along_a_line_it_is_the_law_of_one_tangent(angle, static_friction):
     assert np.mean(classify_contact(plane, 512) != states) < 0.005, "but for samples on the border"
     for name in ("cone_violation", "friction_dissipation", "excitation_work", "J_T"):
         assert plane.merit[name] == pytest.approx(line.merit[name], rel=2e-3 if name == "J_T" else 1e-6), name
-    forces = np.array([plane.pair_forces[d][:, 0] for d in PLANE])
+    forces = np.array([plane.pair_forces[d][:, 0] for d in TANGENTS])
     np.testing.assert_allclose(forces, np.outer(direction, line.pair_forces["tangential"][:, 0]), atol=1e-7)
     if static_friction == "zero":
         assert np.all(forces[:, 0] == 0)
@@ -259,7 +259,7 @@ def test_a_body_hangs_on_friction_up_to_the_limit_in_every_direction(angle):
     )  # fmt: skip
     held = solve(pose(0.98))
     model = held.problem.model
-    on_feet = sum(model.rows(d).T @ held.pair_forces[d][0].real for d in ("normal", *PLANE))[6:].reshape(6, 3)
+    on_feet = sum(model.rows(d).T @ held.pair_forces[d][0].real for d in ("normal", *TANGENTS))[6:].reshape(6, 3)
     np.testing.assert_allclose(on_feet.sum(axis=0), [*(-0.98 * pull), 3.0], atol=1e-6)
     with pytest.raises(UnheldBody, match=r"nothing holds a floating body: .* rigid motion that slides along pair"):
         pose(1.02).system  # noqa: B018
