@@ -32,9 +32,10 @@ LEAST_SAMPLES = 64
 RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
-# Unknowns that no elimination takes out, from which on Newton steps are dear. Defect at which a splitting is looked at
-# first, over the accuracy and over the first defect, whichever is less; and how many times less it is at the next look.
-LARGE, SETTLED, SETTLED_SHARE, FURTHER = 1000, 0.01, 0.1, 3.0
+LARGE = 1000  # unknowns that no elimination takes out, from which on Newton steps are dear
+# A splitting is looked at first where its defect is below both of these, over the accuracy and over the first defect;
+# and then each time that it has fallen by the last one.
+SETTLED, SETTLED_SHARE, FURTHER = 0.01, 0.1, 3.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ from ewr_fenicsx.problem.law_claims import check_claims, check_response
 # pairs that are about to stick. From the solution with this share, that of the law is a step or two away.
 FIRM = 1e-4
 HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
-# Most that closed gaps and a resonance of the stuck joint may make of the force that counts as one, over that without:
-# gaps that do close take less, and pairs slip before they hold a resonance; of order one, for contact forces are, too.
+# Full stick closes every gap and holds a resonance, which may take far larger forces than the joint ever has: gaps that
+# do close take less, and pairs slip before. How many times that without the two the force may be that counts as one.
 MOST = 3.0
 LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
 

@@ -4,9 +4,9 @@ They obey the laws' derivatives at the solution::
 
     M x'' + D x' + K x = B^T lam,      dpsi/dlam lam + dpsi/dq B x + dpsi/dv B x' = 0
 
-What a deviation needs to be known by is little: the modes that the steps resolve, with their velocities, and
-how far the other modes, which bend at once, have let the contact rows go. Rows that do not change status over the
-period obey the same equation at every instant: it is solved once.
+Little tells a deviation: the modes that the steps resolve, with their velocities, and how far the contact rows have
+moved by the other modes, which follow forces at once. Rows that do not change status over the period obey the same
+equation at every instant: it is solved once.
 
 A row that closes stops within a step what it has deviated by. In truth nothing but the contact node itself gives way at
 once; modes that so short a step does not resolve stand for it.
@@ -236,7 +236,7 @@ def _differentiate_period(balance: HarmonicBalance, scheme: TimeScheme, period: 
         "displacement": lambda: moved + scheme.dt * after,
         "velocity": lambda: after,
     }
-    seen = balance.observe(signals, STEPS_IN_TIME)
+    seen = balance.observe(signals, scheme.steps)
     responses = [law.evaluate(at) for law, at in zip(balance.system.laws, seen, strict=True)]
     return balance.differentiate(responses)
 

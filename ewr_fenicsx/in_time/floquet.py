@@ -43,11 +43,13 @@ SAMPLES = 4 * FEWEST + 2  # a period, at least, of the laws' derivatives
 STEPS, TRUSTED = (256, 128), 1e3  # a period; multiplier above which fewer are taken: it grows with their number
 GROWTH = 1.02  # a period, from which on it counts: less is within the errors of truncation, also of many harmonics
 BORNE_OUT = 1.005  # a period, from which on it is; where a body has slid to is neutral
-# Periods in which the motion in time that begins on a solution may settle beside it. Its changes from each to the next
-# have then fallen to this share of the first five, are not far above the least, or next to nothing beside the first,
-# small beside the motion, and never rose; it is as near as this, and not so near that stepping may be what moved it
-SETTLING, FALLEN, ABOVE_LEAST, NOTHING, RISEN, NEAR, AT_ONE = 80, 0.3, 2.0, 1e-2, 1.05, 0.25, 3e-3
-STEADY = 1e-3
+# A motion in time that begins on a solution settles beside it where all of this holds after so many periods:
+SETTLING = 80
+FALLEN = 0.3  # its last change from period to period is below this share of the largest of the first five,
+ABOVE_LEAST, NOTHING = 2.0, 1e-2  # below so many times the least change, or that share of the first ones,
+STEADY = 1e-3  # and below this share of its oscillation;
+RISEN = 1.05  # no change was above so many times the largest of the first five;
+NEAR, AT_ONE = 0.25, 3e-3  # it went by less than this share of its oscillation, and by more than stepping may do
 # Newton steps from there to a solution of as many harmonics, what they leave of the residual, and how far another
 # solution's forces are at least
 NEWTON_STEPS, SOLVED, ELSEWHERE = 30, 1e-6, 1e-3

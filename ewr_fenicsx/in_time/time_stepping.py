@@ -38,7 +38,8 @@ from ewr_fenicsx.problem.harmonics import sample_amplitudes
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
-# Share of a mode's mass in its inertia of a step from which down the step does not resolve it at all; its least theta.
+# A mode whose mass makes up no more than this share of what resists it in a step (mass, and stiffness over the step) is
+# far too fast for the step; and the least theta of such a mode.
 _TOO_FAST, _FOLLOWING = 1e-3, 0.6
 _DIAGONAL = 1e-9  # modal damping counts as diagonal up to this share of the geometric mean of the diagonal entries
 

@@ -26,7 +26,8 @@ from ewr_fenicsx.problem.contact_system import ContactSystem
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
-# Periods in time after which a body still goes on that walks, and those after half of which it went no faster by much
+# Periods in time for which a body is watched; and how many times faster than at their end it may have gone half-way
+# where its motion has settled
 WATCHED, NO_FASTER = 12, 1.5
 NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry

@@ -13,8 +13,8 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 
 _EPS = float(np.finfo(float).eps)
-# Roundings of the largest eigenvalue of the scaled stiffness, at least and from so many coordinates on as many, below
-# which one is zero; and times that, below which nobody can tell.
+# An eigenvalue of the scaled stiffness is zero up to so many roundings of the largest one (as many as there are
+# coordinates, where these are more), and nobody can tell whether it is up to so many times that.
 _ROUNDED, _DOUBTFUL = 100, 100
 _NOTHING = 1e-12  # forces over those of the stiffest motion, that rounding may make where nothing resists
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass

@@ -19,8 +19,9 @@ from ewr_fenicsx.model.reduced_model import ReducedModel
 Closure = Literal["mass", "dashpot", "spring"]
 # Ratio by which masses and springs may vary over the harmonics left out; share of a mass's motion that others may make
 ALIKE, ALONE = 2.0, 0.05
-# Multiples of the highest harmonic, so many of which in a row tell a spring; and the least share of the static
-# flexibility: behind stiffer springs the mass of what they hold closes the truncation better
+# A pair has a spring of its own where its flexibility is alike at so many in a row of these multiples of the highest
+# harmonic; and no less than this share of the static one: behind stiffer springs the mass of what they hold closes the
+# truncation better
 FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 9), 4, 3e-4
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 

@@ -25,8 +25,8 @@ SOFTEST_SURFACE = 1e-9  # wear coefficient [1/Pa]
 ROUGHEST = 3.0  # coefficient of friction
 MOST_DAMPED = 0.1  # ratio of critical damping
 DRAG = 0.1  # loss factor of rigid motions of bodies that only the joint holds
-# Between these, over the first stuck mode, and below so many Hz a frequency was probably given in kHz: compact parts
-# turn as far below their modes, at larger numbers
+# A frequency between these shares of the first full-stick mode, and below so many Hz, was probably given in kHz:
+# compact parts may be driven as far below their modes, at more Hz than that
 KILOHERTZ, MOST_KILOHERTZ = (3e-4, 2e-3), 30.0
 MILLIMETRES = (100.0, 1e4)  # and a builder's parameter in mm, over its default
 MANY_CYCLES = 100_000  # of which every one is solved

@@ -9,8 +9,8 @@ are all the Newton steps that the way took:
 4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 
 ``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
-``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second. ``climb`` takes others along:
-through more sets, with these where Newton stalls.
+``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second. ``climb`` may be given others,
+which it tries on each set of harmonics where Newton stalls.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def climb(
     are any. Where there are none, in large joints a set on which nothing comes near a solution is the last: on larger
     ones steps take long, and hardly any solution is found from there.
     """
-    below, attempt, steps, held = None, None, 0, None
+    below, attempt, steps, solved = None, None, 0, None  # the latter: up to which harmonic
     for level in grow_sets(balance, levels):
         guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
         run, goal, most = run_newton, coarse_tolerance, COARSE_STEPS
@@ -135,14 +135,14 @@ def climb(
         steps += attempt.iterations
         below = level
         if attempt.converged:
-            held = level.basis.orders[-1]
+            solved = level.basis.orders[-1]
         elif balance.size > LARGEST_TRACED and attempt.residual > CLOSE and not rungs:
             break
     if level is not balance:
         unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))
         attempt = replace(attempt, unknowns=unknowns, residual=float(np.linalg.norm(balance.residual(unknowns))))
-    if not attempt.converged and held:
-        attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {held} were solved for")
+    if not attempt.converged and solved:
+        attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {solved} were solved for")
     return replace(attempt, iterations=steps)
 
 

@@ -33,15 +33,16 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 # mostly stick: their pairs begin to slip one after the other.
 CLOSER = 3e-3
 STALLS = ((CLOSER, 8, 0.85), (1e-5, 5, 0.8))
-# From so many unknowns on, dense factors are made in single precision, in half the time, and refined by GMRES to
-# ``ROUGH_TOLERANCE``. They precondition later steps too, for few samples change status in between: how exact such a
-# step must be far from the solution and close to it. Where few iterations do not do, or no length of the step makes the
-# residual fall, there are new or double factors.
-REFINE_FROM, REFINEMENTS = 500, 10
-# To the same tolerance without such factors (``inexact_step.py``), in a twentieth of their time, above this residual:
-# below, a few exact steps arrive, which share factors.
-FAR_ITERATIONS, FAR_FROM = 60, 5e-3
-FAR_TOLERANCE, CLOSE_TOLERANCE, ROUGH_TOLERANCE = 0.25, 1e-4, 1e-10
+# From so many unknowns on, dense factors are made in single precision, in half the time, and GMRES refines the step to
+# this tolerance in so many iterations at most; else they are made anew in double precision.
+REFINE_FROM, REFINEMENTS, ROUGH_TOLERANCE = 500, 10, 1e-10
+# Such factors precondition later steps as well, for few samples change status in between: how exact these steps are far
+# from a solution, and close to it. Where GMRES does not get there, or no length of the step makes the residual fall,
+# there are new factors.
+FAR_TOLERANCE, CLOSE_TOLERANCE = 0.25, 1e-4
+# Above this residual, steps of large joints take no factors of the whole (``inexact_step.py``), in a twentieth of the
+# time, and so many iterations at most. Below it, a few exact steps arrive, which share factors.
+FAR_FROM, FAR_ITERATIONS = 5e-3, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class Attempt:
 
     ``walks``: what it found is no periodic motion, and no other way to one is worth trying (``walking.py``).
     ``usual``: what it found holds with default weights and dashpots, in place of what the problem asks for.
-    ``detour``: rungs that were tried with these on the way to it; none where the first one did.
+    ``detour``: rungs that a solve with these tried on the way to it; none where its first one did.
     """
 
     unknowns: RealArray

@@ -48,9 +48,9 @@ SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as i
 PROGRESS, ROUNDING = 0.7, 1e-10  # share of itself to which a defect must fall in time; rounding in the extrapolation
 # Unknowns from which on a splitting is worth its while: in small joints Newton steps cost no more than its iterations.
 WORTHWHILE = 200
-# Defect at which Newton's method takes over, lower where there are so many unknowns that its steps are dear; and times
-# that, from which it may still arrive.
-TOLERANCE, DEAR_FROM, DEAR_TOLERANCE, NEAR_ENOUGH = 1e-3, 2000, 1e-4, 2.0
+TOLERANCE = 1e-3  # defect at which Newton's method takes over;
+DEAR_FROM, DEAR_TOLERANCE = 2000, 1e-4  # a lower one from so many unknowns on, where its steps are dear
+NEAR_ENOUGH = 2.0  # times that defect, from which it may still arrive
 # How often Newton's method may begin from a splitting, and the share of its defect that is left from one to the next
 LOOKS, NEARER = 3, 0.1
 # Over the unit of force: the least forces beside which a defect is measured, and the largest state that leads anywhere.
