@@ -144,7 +144,7 @@ class ContactProblem:
 
     @cached_property
     def groups(self) -> tuple[tuple[np.ndarray, ContactLaws], ...]:
-        """Pairs and their laws.
+        """Pairs and their laws; of none, such as a mask leaves, there is no group.
 
         Raises:
             ModelError: Something else than laws, or the groups do not cover each pair once.
@@ -166,7 +166,7 @@ class ContactProblem:
         }
         if told := [f"{how} {name_pairs(pairs)}" for how, pairs in wrong.items() if pairs.size]:
             raise ModelError(f"laws must cover each of the {self.model.pairs} pairs once; they {' and '.join(told)}")
-        return tuple((pairs.astype(int), laws) for pairs, laws in groups)
+        return tuple((pairs.astype(int), laws) for pairs, laws in groups if pairs.size)
 
     def _read_by_pair(self, name: str) -> RealArray:
         """Numbers that are given for all pairs, or for each of them, as they were given."""

@@ -132,6 +132,18 @@ def test_weights_follow_each_rows_own_flexibility():
     np.testing.assert_array_equal(given[1].rho, [1.0, 2.0, 3.0])
 
 
+def test_a_group_of_no_pairs_costs_nothing():
+    """A mask may leave none: laws that hold nowhere keep no harmonics that symmetry makes zero."""
+    rubs = ContactLaws(normal="prescribed", normal_force=0.1, friction=0.3, initial_gap=1e-3)
+    opens, model = ContactLaws(friction=0.1), friction_oscillator()
+    alone, beside = (
+        solve(ContactProblem(model, laws, 0.15, 5)) for laws in (rubs, [([0], rubs), ([], opens), ([], rubs)])
+    )
+    assert beside.unknowns == alone.unknowns > 0 and beside.left_out == alone.left_out == (0, 2, 4)
+    np.testing.assert_array_equal(beside.forces, alone.forces)
+    assert beside.cautions == alone.cautions
+
+
 def test_weights_are_given_pair_by_pair_whatever_the_order_of_a_group():
     """The laws' own values come in the order of their group."""
     laws = ContactLaws(friction=[0.1, 0.2, 0.3], initial_gap=[4.0, 5.0, 6.0])
