@@ -295,6 +295,7 @@ def integrate(
     for name, count in (("periods", periods), ("sweeps", sweeps)):
         if not is_whole(count, 1):
             raise ModelError(f"{name} = {count!r}; give a whole number, at least one")
+    periods, sweeps = int(periods), int(sweeps)
     if not (isinstance(tolerance, Real) and tolerance >= 0):
         raise ModelError(f"tolerance = {tolerance!r}; give a positive one, or 0 to step all the periods")
     if not is_positive(contact_tolerance):
@@ -308,8 +309,8 @@ def integrate(
     sweeps_taken = unsolved = 0
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
-    with count_progress("time stepping, periods", int(periods), progress) as report:
-        for _ in range(int(periods)):
+    with count_progress("time stepping, periods", periods, progress) as report:
+        for _ in range(periods):
             last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
             end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
             sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
@@ -338,7 +339,7 @@ def integrate(
             elif tolerance and theta == UNDAMPED:
                 reason += _RINGS
     if last.unsolved:
-        reason += f"; {last.unsolved} of the last {steps} steps missed the contact tolerance in {sweeps} sweeps"
+        reason += f"; {last.unsolved} of the last {scheme.steps} steps missed the contact tolerance in {sweeps} sweeps"
     return SteadyState(
         problem=problem,
         scheme=scheme,
