@@ -52,8 +52,6 @@ CLEAR = 4.0  # times above or below the accuracy, where one step's estimate need
 LARGEST_AHEAD = 1000
 SLIDING_SAMPLES = 256  # a period, at which sliding is compared
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
-
-
 # Of the estimated error of the sliding: over that of the response, and by itself, from where on it is worth a word
 FAR_OFF, WORTH_A_WORD = 2.0, 0.05
 COARSE, UNKNOWN = 0.02, 1.0  # estimated error that a user should know a remedy for; one that tells no more than that
@@ -353,10 +351,7 @@ def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...
     whole = np.linalg.norm(size[orders > 0])
     loaded = [h for h, f in solution.problem.excitation.items() if np.any(f)]
     fixed = np.isin(orders, [0, 1, *loaded])
-    small_first = [j for j in np.argsort(size) if not fixed[j]]
-    out = {
-        j
-        for j, sum_ in zip(small_first, np.sqrt(np.cumsum(size[small_first] ** 2)), strict=True)
-        if sum_ <= share * whole
-    }
-    return tuple(int(h) for j, h in enumerate(orders) if j not in out)
+    small_first = np.argsort(size)
+    small_first = small_first[~fixed[small_first]]
+    out = small_first[np.sqrt(np.cumsum(size[small_first] ** 2)) <= share * whole]
+    return tuple(np.delete(orders, out).tolist())
