@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ewr_fenicsx.errors import OutputError
@@ -19,11 +19,13 @@ class FolderLock:
         file: The hidden file.
         handle: Of the file, open.
         made: Folders that were made for it, the innermost first.
+        held: Whether others are kept out: False where the file system knows no locks.
     """
 
     file: Path
     handle: int
     made: tuple[Path, ...]
+    held: bool = True
 
 
 def lock_folder(folder: Path) -> FolderLock:
@@ -50,7 +52,7 @@ def lock_folder(folder: Path) -> FolderLock:
             os.close(lock.handle)
             raise OutputError(f"another run writes to {folder}; wait for it, or give another --out") from None
         except OSError:  # no locks here
-            return lock
+            return replace(lock, held=False)
         if _is_still_there(lock):
             return lock
         os.close(lock.handle)

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from errno import EEXIST, ENOTEMPTY
 from pathlib import Path
 from typing import TypeVar
@@ -19,6 +19,7 @@ from ewr_fenicsx.output.folder_lock import free_folder, lock_folder
 from ewr_fenicsx.task_sharing import do_on_rank_zero
 
 SUMMARY = "summary.json"  # its key "files" names all files of the folder
+DRAFT = ".ewr-draft."  # in the hidden names of folders on their way, between the folder's own and a random one
 
 T = TypeVar("T")
 
@@ -56,6 +57,8 @@ def hold_target(
     lock = do_with_files(lambda: lock_folder(Path(folder)), comm)
     try:
         check_target(folder, overwrite=overwrite, comm=comm, own=own)  # a run may have ended just before
+        if comm.rank == 0 and lock.held:
+            _remove_drafts(_follow_links(Path(folder)))
         yield
     finally:
         if comm.rank == 0:
@@ -172,11 +175,19 @@ def _find_foreign_files(folder: Path, own: Sequence[str]) -> set[str]:
 
 def _make_draft(folder: Path) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}{DRAFT}", dir=folder.parent))
     mask = os.umask(0)
     os.umask(mask)
     draft.chmod(0o777 & ~mask)  # mkdtemp makes folders private
     return draft
+
+
+def _remove_drafts(folder: Path) -> None:
+    """Removes what runs that were killed as they wrote have left beside a folder, which the caller has locked."""
+    with suppress(OSError):  # no reason not to run
+        for draft in folder.parent.iterdir():
+            if draft.name.startswith(f".{folder.name}{DRAFT}"):
+                shutil.rmtree(draft, ignore_errors=True)
 
 
 def _move_into_place(draft: Path, folder: Path, overwrite: bool) -> None:
@@ -188,5 +199,10 @@ def _move_into_place(draft: Path, folder: Path, overwrite: bool) -> None:
         _check_target(folder, overwrite, ())  # it was free to take before: another run has filled it since
         old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
         folder.rename(old / folder.name)
-        draft.rename(folder)
+        try:
+            draft.rename(folder)
+        except BaseException:
+            (old / folder.name).rename(folder)
+            old.rmdir()
+            raise
         shutil.rmtree(old)

@@ -47,6 +47,23 @@ def test_failure_while_overwriting_keeps_the_earlier_run(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
 
 
+def test_an_interruption_between_the_two_moves_keeps_the_earlier_run(tmp_path, monkeypatch):
+    write_run(tmp_path / "results", "1")
+    move = Path.rename
+
+    def rename(source, target):
+        if (source / "value.txt").is_file() and not Path(target).exists() and source.name != "results":
+            monkeypatch.setattr(Path, "rename", move)
+            raise KeyboardInterrupt
+        return move(source, target)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path / "results", "2", overwrite=True)
+    assert (tmp_path / "results" / "value.txt").read_text() == "1"
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
 def test_overwriting_replaces_the_earlier_run_whole(tmp_path):
     write_run(tmp_path / "results", "1")
     with pytest.raises(OutputError, match=r"results exists and is kept; give --overwrite"):
@@ -150,6 +167,24 @@ def test_a_run_that_was_killed_keeps_nobody_out(tmp_path):
     with hold_target(tmp_path / "results"):
         write_run(tmp_path / "results", "1")
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+def test_what_a_killed_run_was_writing_is_removed_by_the_next_one(tmp_path):
+    script = (
+        "import os, sys\nfrom pathlib import Path\n"
+        "from ewr_fenicsx.output.result_folder import hold_target, result_folder\n"
+        "with hold_target(Path(sys.argv[1])), result_folder(Path(sys.argv[1])) as draft:\n"
+        "    (draft / 'half.txt').write_text('written')\n    os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, tmp_path / "results"], check=False, timeout=120)
+    assert done.returncode == -9
+    (tmp_path / ".results.mine").mkdir()
+    assert len(list(tmp_path.rglob("half.txt"))) == 1
+    with hold_target(tmp_path / "results.other"):
+        assert len(list(tmp_path.rglob("half.txt"))) == 1, "it is not this run's"
+    with hold_target(tmp_path / "results"):
+        write_run(tmp_path / "results", "1")
+    assert {path.name for path in tmp_path.iterdir()} == {"results", ".results.mine"}
 
 
 def test_a_lock_file_that_its_run_removed_in_the_meantime_is_none(tmp_path, monkeypatch):
