@@ -6,6 +6,8 @@ import ctypes
 import importlib.util
 import inspect
 import logging
+import signal
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -46,17 +48,42 @@ def compiling(what: str) -> Iterator[None]:
     begin = time.perf_counter()
     logging.disable(max(disabled, logging.INFO))
     try:
-        yield
+        with _put_off_interruptions():
+            yield
     except (TimeoutError, ImportError, OSError, RuntimeError, cffi.VerificationError) as error:
-        raise EwrError(
-            f"cannot compile {what}: {type(error).__name__}: {error}\nIs there a C compiler (apt-get install gcc)? "
-            f"If an earlier run was interrupted, clear the cache: rm -r {jit_cache()}"
-        ) from error
+        cache = jit_cache()
+        remedy = f"If an earlier run was killed, clear the cache: rm -r {cache}"
+        if isinstance(error, OSError) and error.filename:
+            remedy = f"The cache is {cache}; if it cannot be written, set XDG_CACHE_HOME to a folder that can"
+        elif not isinstance(error, TimeoutError):
+            remedy = f"Is there a C compiler (apt-get install gcc)? {remedy}"
+        raise EwrError(f"cannot compile {what}: {type(error).__name__}: {error}\n{remedy}") from error
     finally:
         logging.disable(disabled)
         root.setLevel(level)
         root.handlers[:] = handlers
         _Clock.seconds += time.perf_counter() - begin
+
+
+@contextmanager
+def _put_off_interruptions() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait until the block has ended.
+
+    An unfinished compilation stays in the cache, where the next run would wait for its end, and then fail.
+    """
+    came: list[int] = []
+    mine = threading.current_thread() is threading.main_thread()  # no other may set what is done on a signal
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM) if mine}
+    usual = {number: handler for number, handler in usual.items() if handler is not None}  # that are Python's own
+    for number in usual:
+        signal.signal(number, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def measure_compilation() -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from math import pi
@@ -219,6 +220,20 @@ def test_interrupted_compilation_says_how_to_clear_the_cache():
         raise TimeoutError("JIT compilation timed out")
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_compilation_is_finished_before_an_interruption_is_heeded(number):
+    """The next run would wait for the end of an unfinished one."""
+    heeded, finished = [], []
+    usual = signal.signal(number, lambda *_: heeded.append(number))
+    try:
+        with _compat.compiling("a form"):
+            signal.raise_signal(number)
+            finished.append(not heeded)
+    finally:
+        signal.signal(number, usual)
+    assert finished == [True] and heeded == [number]
+
+
 def compile_elsewhere(tmp_path: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Compiles a form in a new process with an empty cache."""
     program = (
@@ -250,3 +265,9 @@ def test_missing_compiler_is_one_clear_error(tmp_path):
     assert finished.returncode == 1
     assert "EwrError: cannot compile" in finished.stderr and "apt-get install gcc" in finished.stderr
     assert str(tmp_path) in finished.stderr
+
+
+def test_a_cache_that_cannot_be_written_is_one_clear_error(tmp_path):
+    finished = compile_elsewhere(tmp_path, XDG_CACHE_HOME="/proc/ewr")  # even root cannot write there
+    assert finished.returncode == 1
+    assert "The cache is /proc/ewr/fenics; if it cannot be written, set XDG_CACHE_HOME" in finished.stderr
