@@ -379,7 +379,8 @@ def _rigid_motions(
 
 
 def _inner(x: np.ndarray, y: np.ndarray, comm: MPI.Comm) -> float:
-    return comm.allreduce(float(x @ y))
+    with np.errstate(over="ignore", invalid="ignore"):  # of loads too large to square, which the model refuses
+        return comm.allreduce(float(x @ y))
 
 
 def _sum(part: np.ndarray, comm: MPI.Comm) -> np.ndarray:
