@@ -8,6 +8,7 @@ Heavy imports wait until the scene has been read, so that help and mistakes in s
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from errno import EDQUOT, ENOSPC
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,10 +40,12 @@ if TYPE_CHECKING:
 
 # How long a failed rank waits for the others to fail as well before it stops them [s]
 PATIENCE = 2.0
+NO_ROOM = (ENOSPC, EDQUOT)  # what the system says of a full disk
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line and returns its exit code."""
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
     arguments, petsc_options = parse_arguments(argv)
     import petsc4py
 
@@ -140,7 +144,9 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
             )
     if comm.rank == 0:
         tell_unused_options()
-        print(study.told, list_files(files), sep="\n\n")
+        print(study.told, list_files(files), sep="\n\n", flush=True)
+    if study.cut_short:
+        raise KeyboardInterrupt(f"the results are in {folder}, without an estimate of their error")
     return 0
 
 
@@ -204,7 +210,7 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         if comm.rank == 0:
             print_costs(report)
             print(report.told, flush=True)  # before anything that drawing may stumble over
-            print(*report.write(folder), sep="\n")
+            print(*report.write(folder), sep="\n", flush=True)
     return 0
 
 
@@ -338,16 +344,27 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         code = EwrError.exit_code
     except KeyboardInterrupt as stop:
         message, code = "; ".join(["ewr: interrupted", *map(str, stop.args)]), 130
-    except Exception:
-        if comm.size == 1:
+    except Exception as error:
+        if _was_interrupted(error):
+            message, code = "ewr: interrupted", 130
+        elif isinstance(error, OSError) and error.errno in NO_ROOM:
+            message = f"ewr: {error.filename or 'the output'} cannot be written: {error.strerror}; make room"
+            code = EwrError.exit_code
+        elif comm.size == 1:
             raise
-        message, code = traceback.format_exc(), 1
+        else:
+            message, code = traceback.format_exc(), 1
     together = everyone_failed(errors)
     if comm.rank == 0 or not together:
         print(message, file=sys.stderr, flush=True)
     if not together:
         comm.Abort(code)
     return code
+
+
+def _was_interrupted(error: BaseException) -> bool:
+    """Whether Ctrl-C is behind an error: a compiled module that was being imported makes another one of it."""
+    return isinstance(error.__cause__, KeyboardInterrupt)
 
 
 def everyone_failed(comm: MPI.Comm) -> bool:

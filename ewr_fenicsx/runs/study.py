@@ -45,6 +45,7 @@ class Study:
         write: Writes the study's own files into a folder; collective.
         facts: What decides whether to trust the run, for its summary: accuracy, breaks and gaps of a sweep, why wear
             stopped; ready for JSON.
+        cut_short: Whether an interruption took the estimate of the error from it, and nothing else.
     """
 
     chain: Chain
@@ -54,6 +55,7 @@ class Study:
     told: str
     write: Callable[[Path], None]
     facts: Mapping[str, object] = field(default_factory=dict)
+    cut_short: bool = False
 
 
 def can_resume(scene: Scene) -> bool:
@@ -73,17 +75,25 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
     Raises:
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
         OutputError: ``work`` holds another study.
+        KeyboardInterrupt: Before there was a solution; or later, where ``work`` keeps it.
     """
     through, watch = measure_thinnest_body(chain), Stopwatch(progress)
     study = _solve(chain, watch, work, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)
     lines, facts = [f"  NOT a small motion: {doubt}" for doubt in doubts], {"doubts_of_small_motion": doubts}
+    cut_short = False
     if chain.scene.solver.accuracy is None:
-        with watch.stage("estimate"):
-            own, facts["estimate"] = _estimate(study)
+        try:
+            with watch.stage("estimate"):
+                own, facts["estimate"] = _estimate(study)
+        except KeyboardInterrupt:
+            if work is not None:  # from which the same command goes on
+                raise
+            own, facts["estimate"], cut_short = ["  its error is not known: interrupted"], None, True
         lines = [*own, *lines]
     told = "\n".join([study.told, *lines])
-    return replace(study, seconds=watch.seconds, told=told, facts={**study.facts, **facts})
+    facts = {**study.facts, **facts}
+    return replace(study, seconds=watch.seconds, told=told, facts=facts, cut_short=cut_short)
 
 
 def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:

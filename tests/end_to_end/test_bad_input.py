@@ -204,6 +204,21 @@ def test_whoever_reads_only_the_first_lines_sees_no_error(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("redirection", "code", "told"),
+    [
+        (">&-", 0, ""),
+        (">/dev/full", 2, "ewr: the output cannot be written: No space left on device; make room\n"),
+    ],
+)
+def test_output_that_goes_nowhere(tmp_path, redirection, code, told):
+    (tmp_path / "scene.toml").write_text(write_blocks())
+    command = f"exec {sys.executable} -m ewr_fenicsx info scene.toml {redirection}"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.endswith(told) and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
     ("given", "meant"),
     [("-out", "--out"), ("-out=there", "--out"), ("-overwrite", "--overwrite"), ("--overwite", "--overwrite")],
 )

@@ -14,9 +14,11 @@ from pathlib import Path
 import dolfinx
 import pytest
 from counted_calls import count_calls
+from mpi4py import MPI
 from small_scenes import write_blocks
 
-from ewr_fenicsx.cli import main
+from ewr_fenicsx.accuracy import estimates
+from ewr_fenicsx.cli import main, stop_together
 from ewr_fenicsx.output.result_folder import hold_target
 from ewr_fenicsx.response import frequency_sweep
 from ewr_fenicsx.wear import cycle_jumps
@@ -189,6 +191,42 @@ def test_a_run_that_a_scheduler_ends_goes_on(ewr, scene, tmp_path, monkeypatch):
     assert code == 130 and told.endswith("and the same command goes on from there\n")
     code, told = ewr()
     assert code == 0 and "found interrupted work" in told
+
+
+def test_a_solution_outlives_the_estimate_of_its_error(ewr, scene, tmp_path, monkeypatch):
+    """The estimate may take as long as the solve; of a single solution nothing else would be kept."""
+    scene.write_text(write_scene())
+    with monkeypatch.context() as patch:
+        count_calls(patch, estimates, "estimate_at_once", 0)
+        code, told = ewr()
+    results = tmp_path / "broken"
+    assert code == 130
+    assert told.endswith(f"ewr: interrupted; the results are in {results}, without an estimate of their error\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"broken", "scene.toml"}
+    assert ewr(out="unbroken")[0] == 0
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
+    assert (one["solution"], one["files"]) == (two["solution"], two["files"])
+    assert one["estimate"] is None and two["estimate"]
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_work_that_goes_on_waits_for_its_estimate(ewr, scene, tmp_path, monkeypatch, study):
+    scene.write_text(STUDIES[study][0])
+    with monkeypatch.context() as patch:
+        count_calls(patch, estimates, "estimate_at_once", 0)
+        code, told = ewr()
+    assert code == 130 and told.endswith("and the same command goes on from there\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"broken.partial", "scene.toml"}
+
+
+def test_an_interrupted_import_is_an_interruption(capsys):
+    """Compiled modules make an ImportError of it."""
+
+    def load():
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    assert stop_together(MPI.COMM_SELF, load) == 130
+    assert capsys.readouterr().err == "ewr: interrupted\n"
 
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):
