@@ -1,6 +1,7 @@
 """Files that are complete or not there: they are written under another name and take their place in one move.
 
-What the system says of a file becomes an error that names the file and what to do.
+What the system says of a file becomes an error that names the file and what to do. A digest follows the HDF5
+data, which HDF5 passes over: of damaged data it may read other numbers, or never come to an end.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from errno import EISDIR
+from hashlib import sha256
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import OutputError, UnwritableFile
 
+_MARK = b"ewr_fenicsx sha256\n"  # between the data of a file and their digest
 _UNWRITABLE = (UnwritableFile, "cannot be written", "give a place where files can be, or make room")
 
 
@@ -37,7 +40,7 @@ def replace_file(path: Path) -> Iterator[h5py.File]:
                 file.flush()
                 image = file.id.get_file_image()
             with draft.open("wb") as written:
-                written.write(image)
+                written.write(image + _MARK + sha256(image).digest())
                 written.flush()
                 os.fsync(written.fileno())
             draft.replace(path)
@@ -56,11 +59,24 @@ def open_file(path: Path) -> Iterator[h5py.File | None]:
         if not path.is_file():
             yield None
             return
+        check_whole(path)
         with h5py.File(path, "r") as file:
             try:
                 yield file
             except KeyError as lacking:  # a reader asked for what every such file has
                 raise OSError(f"it is damaged: {lacking.args[0]}") from lacking
+
+
+def check_whole(path: Path) -> None:
+    """Checks that a file is as ``replace_file`` wrote it, where it ends as one: not those of earlier versions.
+
+    Raises:
+        OSError: It is damaged, or cannot be read.
+    """
+    content, size = path.read_bytes(), len(_MARK) + sha256().digest_size
+    image, end = content[:-size], content[-size:]
+    if end.startswith(_MARK) and end != _MARK + sha256(image).digest():
+        raise OSError("it is damaged")
 
 
 def check_place(path: Path) -> None:

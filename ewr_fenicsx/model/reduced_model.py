@@ -31,7 +31,7 @@ from ewr_fenicsx.model.rigid_modes import (
     find_precision,
     find_rigid_modes,
 )
-from ewr_fenicsx.whole_files import replace_file
+from ewr_fenicsx.whole_files import check_whole, replace_file
 
 ARRAYS = ("mass", "damping", "stiffness", "normal", "tangential", "pair_area", "rigid_modes")  # of a model
 _FORMAT = "ewr_fenicsx reduced model, 1"
@@ -203,6 +203,7 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         ModelError: There is no such file, or it was not written by ``ReducedModel.save``.
     """
     try:
+        check_whole(Path(path))
         opened = h5py.File(path, "r")
     except OSError as error:
         why = error.strerror or error if Path(path).exists() else "there is no such file"

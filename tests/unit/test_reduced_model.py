@@ -159,7 +159,11 @@ def test_a_model_survives_its_file(model, tmp_path):
 
 def test_a_file_that_is_missing_or_none_of_this_kind_is_named(tmp_path):
     (tmp_path / "text.h5").write_text("no HDF5")
-    for name, why in (("text.h5", ".*"), ("missing.h5", "there is no such file")):
+    dovetail().save(tmp_path / "damaged.h5")
+    whole = bytearray((tmp_path / "damaged.h5").read_bytes())
+    whole[len(whole) // 2] ^= 1
+    (tmp_path / "damaged.h5").write_bytes(whole)
+    for name, why in (("text.h5", ".*"), ("missing.h5", "there is no such file"), ("damaged.h5", "it is damaged")):
         with pytest.raises(ModelError, match=rf"{name} is no reduced model: {why}; give a file that"):
             ReducedModel.load(tmp_path / name)
 

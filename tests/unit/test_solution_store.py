@@ -54,6 +54,25 @@ def test_a_file_of_damaged_solutions_is_named(damage, why, tmp_path):
         read_records(file)
 
 
+def test_a_file_with_a_wrong_bit_is_not_read(tmp_path):
+    """HDF5 reads other numbers then, or never comes to an end."""
+    with replace_file(tmp_path / "block.h5") as file:
+        file["forces"] = np.arange(100.0)
+    whole = (tmp_path / "block.h5").read_bytes()
+    for place in range(0, len(whole) - 60, 97):
+        damaged = bytearray(whole)
+        damaged[place] ^= 4
+        (tmp_path / "block.h5").write_bytes(damaged)
+        with pytest.raises(OutputError, match="it is damaged; give another place"), open_file(tmp_path / "block.h5"):
+            pass
+    with replace_file(tmp_path / "block.h5") as file:
+        file["forces"] = np.arange(100.0)
+    with h5py.File(tmp_path / "block.h5", "r+") as file:
+        file["notes"] = np.arange(1000.0)  # of the user's own
+    with open_file(tmp_path / "block.h5") as file:
+        np.testing.assert_array_equal(file["forces"][()], np.arange(100.0))
+
+
 def test_fingerprints_tell_problems_apart():
     problem = ContactProblem(dovetail(), LAWS, 600.0)
     assert fingerprint(problem) == fingerprint(ContactProblem(dovetail(), replace(LAWS), 600.0))
