@@ -280,7 +280,7 @@ def load_scene(path: str | Path, *, warn: bool = True) -> Scene:
         data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise SceneError(f"scene {path}: cannot be read: {error.strerror}; give the path of a .toml file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # among them TOMLDecodeError and UnicodeDecodeError
         if path.suffix == ".msh":
             raise SceneError(f"scene {path}: a mesh; name it in a scene (.toml), as geometry.source") from None
         raise SceneError(f"scene {path}: not valid TOML: {explain_syntax(error)}") from None

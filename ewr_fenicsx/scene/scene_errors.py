@@ -28,11 +28,13 @@ def explain_mistakes(error: ValidationError, data: Any, file: Path | None, secti
     return list_mistakes([f"{key}: " * bool(key) + ", or ".join(messages) for key, messages in mistakes.items()], file)
 
 
-def explain_syntax(error: ValueError) -> str:
+def explain_syntax(error: ValueError | RecursionError) -> str:
     """What is wrong with a file that is not TOML; the reader's own words on keys that stand there twice tell nobody."""
     if isinstance(error, UnicodeDecodeError):
         line = error.object[: error.start].count(b"\n") + 1
         return f"line {line} is not UTF-8; save the file as UTF-8"
+    if isinstance(error, RecursionError):
+        return "lists or tables in one another, too many of them"
     return str(error).replace("Cannot overwrite a value", "a key that was given before")
 
 

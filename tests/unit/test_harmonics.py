@@ -155,6 +155,7 @@ def test_basis_selected(harmonics, samples, orders, count):
     [
         (-1, None, "harmonics = -1; give the highest one, from 0 to 10000, or a list of them"),
         (10**9, None, "harmonics = 1000000000; give the highest one, from 0 to 10000"),
+        ((0, 10**6), None, r"harmonics up to 1e\+06; give none above 10000"),
         ((), None, "give distinct whole numbers from 0"),
         ((1, 1), None, "give distinct whole numbers from 0"),
         ((-2, 1), None, "give distinct whole numbers from 0"),

@@ -91,6 +91,8 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ),
         ("[contact]\nflanks = []", r"contact\.flanks = \[\]: has too few entries; give at least 1$"),
         ("[contact]\n[contact]", r"not valid TOML"),
+        (f"[solver]\nharmonics = {'9' * 5000}", r"not valid TOML: Exceeds the limit \(4300 digits\)"),
+        (f"[solver]\nharmonics = {'[' * 3000}", r"not valid TOML: lists or tables in one another, too many of them$"),
         ("frequency = 900", r"not valid TOML: a key that was given before \(at end of document\)$"),
         ("[loads.s]\nspeed = 9000", r'loads\.s\.speed = 9000: unknown key; it belongs to kind = "rotation"$'),
         ("[damping]\nratio = 0.01", r'damping\.ratio = 0\.01: unknown key; it belongs to kind = "modal"$'),
