@@ -264,7 +264,7 @@ def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
         waves, counted, kept = f"{asked}, at {problem.frequency:g} Hz", asked, f"{kept} to begin with,"
     return {
         "nodes": f"{chain.structure.space.dofmap.index_map.size_global}",
-        "cells": f"{chain.mesh.domain.topology.index_map(chain.mesh.dimension).size_global}, smallest scaled Jacobian {quality:.2f}",
+        "cells": f"{chain.mesh.cells}, smallest scaled Jacobian {quality:.2f}",
         "pairs": f"{len(interface.area)} ({', '.join(pairs)})",
         "modes": f"{kept} up to {max(modes):.0f} Hz",
         "first full-stick mode": (

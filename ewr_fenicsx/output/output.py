@@ -251,7 +251,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
         },
         "model": {
             "nodes": index_map.size_global,
-            "cells": chain.mesh.domain.topology.index_map(chain.mesh.dimension).size_global,
+            "cells": chain.mesh.cells,
             "smallest_scaled_jacobian": chain.mesh.smallest_scaled_jacobian,
             "bodies": dict(chain.mesh.bodies),  # their numbers in mesh_tags.xdmf
             "boundaries": dict(chain.mesh.boundaries),

@@ -59,6 +59,11 @@ class JointMesh:
         """2 of a plane mesh, 3 of solids."""
         return self.domain.topology.dim
 
+    @property
+    def cells(self) -> int:
+        """Number of cells on all ranks."""
+        return self.domain.topology.index_map(self.dimension).size_global
+
 
 def measure_extent(mesh: JointMesh) -> float:
     """Longest side of the box around a mesh [m]; collective."""

@@ -186,3 +186,14 @@ def test_a_transient_overshoots_and_settles_where_the_harmonic_solution_is(capsy
     assert swing[-1] == pytest.approx(steady, rel=0.02)
     told = rf"most: 0\.\d+ mm after {swing.argmax() + 1} periods; in the end 0\.\d+ mm"
     assert re.match(told, capsys.readouterr().out)
+
+
+def test_the_scene_of_solids_is_solved(tmp_path):
+    (text,) = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+    assert 'source = "geometry/extruded.py"' in text
+    path = tmp_path / "solids.toml"
+    path.write_text(text.replace("geometry/extruded.py", str(ROOT / "geometry" / "extruded.py")), encoding="utf-8")
+    scene = load_scene(path)
+    chain = build_chain(scene)
+    solution = solve(pose_problem(scene, chain.reduction.model, chain.interface))
+    assert solution.converged and chain.reduction.model.pairs == 30 and chain.reduction.model.tangents == 2
