@@ -100,7 +100,7 @@ def test_ranks_tell_of_a_third_body_and_of_the_thinnest_as_one(mpirun, tmp_path)
         "print(*(told or []), sep='\\n', flush=True)\n"
     )
     done = mpirun(3, "python", "-m", "mpi4py", script, scene)
-    told = [line for line in done.stdout.splitlines() if line.startswith('0.020000000 (\'boundary "lid" holds')]
+    told = [line for line in done.stdout.splitlines() if line.startswith('0.020000000 (\'boundary "lid" lies on')]
     assert len(told) == 3 and len(set(told)) == 1, done.stdout + done.stderr
 
 
