@@ -14,7 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
@@ -350,6 +350,8 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         elif isinstance(error, OSError) and error.errno in NO_ROOM:
             message = f"ewr: {error.filename or 'the output'} cannot be written: {error.strerror}; make room"
             code = EwrError.exit_code
+            if not error.filename:
+                _drop_output()
         elif comm.size == 1:
             raise
         else:
@@ -360,6 +362,12 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
     if not together:
         comm.Abort(code)
     return code
+
+
+def _drop_output() -> None:
+    """Sends what is left for standard output nowhere: since Python 3.13 a flush that fails changes the exit code."""
+    with suppress(OSError):  # a stream without a file, as of a notebook, is not flushed at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _was_interrupted(error: BaseException) -> bool:
