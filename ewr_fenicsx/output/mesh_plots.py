@@ -155,9 +155,8 @@ def gather_mode(chain: Chain) -> Cells | None:
 
 def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None:
     """Titles of the figure and of its panels, and the legend's entry for the normals."""
-    scene, interface, topology = chain.scene, chain.interface, chain.mesh.domain.topology
-    nodes = chain.structure.space.dofmap.index_map.size_global
-    whole.set_title(f"{nodes} nodes, {topology.index_map(topology.dim).size_global} cells")
+    scene, interface = chain.scene, chain.interface
+    whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {chain.mesh.cells} cells")
     closed = any(scene.laws_on(flank).initial_gap for flank in interface.flanks)
     joint.set_title(f"joint: {len(interface.area)} pairs" + closed * ", drawn without initial gaps")
     joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}")

@@ -60,14 +60,10 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
     wave, names = FourierBasis(solution.orders, ROUND), solution.problem.model.outputs
     moved = {name: wave.synthesise(solution.output(name)[:, None]) for name in names}
     if solution.walks_slowly:
-        slip, moved = (
-            slip - slip.mean(axis=1, keepdims=True),
-            {name: motion - motion.mean() for name, motion in moved.items()},
-        )
-    slid, largest = (
-        np.linalg.norm(slip, axis=0).max(axis=0),
-        {name: float(np.abs(motion).max()) for name, motion in moved.items()},
-    )
+        slip = slip - slip.mean(axis=1, keepdims=True)
+        moved = {name: motion - motion.mean() for name, motion in moved.items()}
+    slid = np.linalg.norm(slip, axis=0).max(axis=0)
+    largest = {name: float(np.abs(motion).max()) for name, motion in moved.items()}
     far = np.flatnonzero(touches & (slid > spacing))
     doubts = []
     if far.size:

@@ -59,8 +59,7 @@ def outer_facets(mesh: JointMesh, what: str, name: str, boundary: str) -> np.nda
 
 
 def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:
-    """``integral N_k w ds`` over exterior facets [m, of solids m^2]; ``w`` is a constant direction, or the outward
-    normal (None)."""
+    """``integral N_k w ds`` over exterior facets [m or m^2]; ``w`` is a direction, or the outward normal (None)."""
     domain = space.mesh
     # a constant enters the compiled code as data: one compilation serves every direction
     w = (

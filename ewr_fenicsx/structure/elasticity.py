@@ -335,7 +335,7 @@ def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: f
 def _clamped_dofs(mesh: JointMesh, space, clamp: Iterable[str]) -> np.ndarray:
     nodes = [np.empty(0, dtype=np.int64)]
     for name in clamp:
-        found = dolfinx.fem.locate_dofs_topological(space, mesh.domain.topology.dim - 1, boundary_facets(mesh, name))
+        found = dolfinx.fem.locate_dofs_topological(space, mesh.dimension - 1, boundary_facets(mesh, name))
         nodes.append(local_to_global(space, found[found < space.dofmap.index_map.size_local]))
     return list_dofs(np.unique(np.concatenate(nodes)), mesh.dimension).ravel()
 

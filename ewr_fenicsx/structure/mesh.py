@@ -2,8 +2,7 @@
 
 A builder is a Python file with ``build(*, parameter: type = default, ...) -> None``: it adds geometry, mesh and
 physical groups to the current gmsh model (``geometry/fir_tree.py`` is one), and may import files beside it. gmsh runs
-on rank 0 alone. All checks come before dolfinx sees the model: dolfinx 0.5 ends with a segmentation fault on a mesh of
-triangles and quadrilaterals.
+on rank 0 alone, and ``gmsh_inspection.py`` checks the model before dolfinx sees it.
 """
 
 from __future__ import annotations
