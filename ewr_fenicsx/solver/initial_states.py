@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -13,10 +10,9 @@ from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
 from ewr_fenicsx.solution.solution import PeriodicSolution
-from ewr_fenicsx.solver.snes import run_newton
+from ewr_fenicsx.solver.at_rest import find_rest
 
 _STARTS = 'give "rest", None (full stick), a PeriodicSolution or a State'
-REST = 1e-8  # residual of the static solution from which a motion starts
 
 
 def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str | None) -> State:
@@ -31,7 +27,7 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
         moves = bool(np.any(problem.clearance > 0)) or is_held_by_friction(problem)
-        at_rest = find_rest(problem) if moves else None
+        at_rest = find_rest(problem)[0] if moves else None
         if start == "rest" and moves and not at_rest:
             raise ModelError(f'start = "rest": no static solution of the laws was found; {_STARTS}')
         found = at_rest or find_full_stick(problem)
@@ -63,22 +59,3 @@ def find_full_stick(problem: ContactProblem) -> PeriodicMotion:
     if problem.system.rows.shape[0]:
         forces, rigid = HarmonicBalance(problem.system).full_stick
     return PeriodicMotion(problem, forces, rigid)
-
-
-def find_rest(problem: ContactProblem) -> PeriodicMotion | None:
-    """The static solution of the laws under the means of the load and of normal forces that are given, if found."""
-    static = keep_means(problem)
-    balance = HarmonicBalance(static.system)
-    found = run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
-    return PeriodicMotion(static, *balance.unpack(found.unknowns)) if found.converged else None
-
-
-def keep_means(problem: ContactProblem) -> ContactProblem:
-    """The problem without all that oscillates in what is given: loads and prescribed normal forces."""
-    groups = [
-        (pairs, replace(laws, normal_force=laws.normal_force.get(0, 0.0)))
-        if isinstance(laws.normal_force, Mapping)
-        else (pairs, laws)
-        for pairs, laws in problem.groups
-    ]
-    return replace(problem, frequency=0.0, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})

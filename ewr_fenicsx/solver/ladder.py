@@ -22,7 +22,7 @@ from itertools import islice
 import numpy as np
 
 from ewr_fenicsx.balance.balance import FIRM, HarmonicBalance
-from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.smoothing import round_corners
 from ewr_fenicsx.model.compliance import condense
 from ewr_fenicsx.solver.continuation import BalanceAt, BranchPoint, trace_branch
@@ -111,8 +111,9 @@ def climb(
     rungs: tuple[Rung, ...] = (),
     coarse_tolerance: float = COARSE_TOLERANCE,
     limit: int | None = None,
+    begin: Callable[[HarmonicBalance], tuple[ComplexArray, RealArray]] = lambda level: level.full_stick,
 ) -> Attempt:
-    """Growing sets of harmonics from full stick, each started at the solution of the one before.
+    """Growing sets of harmonics from where the first ``begin``s, each started at the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
     are any. Where there are none, in large joints a set on which nothing comes near a solution is the last: on larger
@@ -120,7 +121,7 @@ def climb(
     """
     below, attempt, steps, solved = None, None, 0, None  # the latter: up to which harmonic
     for level in grow_sets(balance, levels):
-        guess = level.full_stick if below is None else embed(below.unpack(attempt.unknowns), below, level)
+        guess = begin(level) if below is None else embed(below.unpack(attempt.unknowns), below, level)
         run, goal, most = run_newton, coarse_tolerance, COARSE_STEPS
         if level is balance:
             run, goal, most = run_and_follow, tolerance, limit or (LAST_STEPS if can_follow(level) else None)

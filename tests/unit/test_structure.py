@@ -30,8 +30,8 @@ ORDER = {
     "in_time": ["time_stepping", "periodicity", "deviations", "hill", "floquet", "stability", "walking"],
     "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
     "solver": [
-        "snes", "initial_states", "time_integration", "continuation", "newton_path", "splitting", "growing_sets",
-        "warm_starts", "long_splitting", "ladder", "growing_load", "faint_forces", "weights", "newton",
+        "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
+        "at_rest", "initial_states", "time_integration", "growing_load", "faint_forces", "weights", "newton",
     ],
     "accuracy": ["looking_ahead", "estimates", "levels", "accuracy", "solving", "cost"],
     "response": [

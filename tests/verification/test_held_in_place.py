@@ -192,7 +192,7 @@ def test_a_motion_from_rest_begins_where_friction_leaves_a_static_load(harmonics
 
 
 def test_no_rest_is_made_up_where_friction_holds(monkeypatch):
-    monkeypatch.setattr(initial_states, "find_rest", lambda problem: None)
+    monkeypatch.setattr(initial_states, "find_rest", lambda problem: (None, 0))
     with pytest.raises(ModelError, match="no static solution of the laws was found; give"):
         integrate(held_mass(1.0, 0.05), "rest", steps=100, periods=1)
 

@@ -124,7 +124,7 @@ def test_a_given_normal_force_is_at_its_mean_at_rest():
 def test_where_no_rest_is_found_it_is_told_and_not_made_up(monkeypatch):
     """By default a motion then begins at full stick, which is a start as good as others."""
     problem = ContactProblem(stop_oscillator(), STOP, 0.16, 5)
-    monkeypatch.setattr(initial_states, "find_rest", lambda problem: None)
+    monkeypatch.setattr(initial_states, "find_rest", lambda problem: (None, 0))
     with pytest.raises(ModelError, match="no static solution of the laws was found; give"):
         integrate(problem, "rest", steps=100, periods=1)
     assert integrate(problem, steps=100, periods=1, tolerance=0).periods == 1
