@@ -7,50 +7,109 @@ near it in few steps, which with one harmonic cost next to nothing. The motion a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.loading_history import hold_in_place
 from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
-from ewr_fenicsx.solver.ladder import climb
+from ewr_fenicsx.solver.ladder import (
+    COARSE_LEVELS,
+    COARSE_TOLERANCE,
+    FINE_LEVELS,
+    climb,
+    start_cold,
+    start_from_splitting,
+)
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
+from ewr_fenicsx.solver.splitting import Splitting
+from ewr_fenicsx.solver.warm_starts import pick_first
 
-REST = 1e-8  # residual of a static solution
-LEVELS = (1, 3, 5, 9, 15, 23, 31, 47, 63)  # highest harmonics of the sets that are climbed through
+REST, REST_STEPS = 1e-8, 40  # residual of a static solution, and Newton steps a run where bodies hang on friction
+# Friction over its own, in turn, on each of the ways to where springs hold pairs in place; and least weights of the
+# mean force in its equation, in turn, where Newton does not go on from there at once.
+GRIPS, SHARES = ((1.0,), (1.5, 1.2, 1.0)), (0.1, 0.01, 0.001)
+LEVELS = FINE_LEVELS  # steps with one harmonic cost little where pairs have two tangents
+SLIPPING = 0.2  # residual of rest and what oscillates at full stick, from where on a splitting leads somewhere
+
+
+def hangs_in_plane(balance: HarmonicBalance) -> bool:
+    """Whether bodies hang on friction of pairs with two tangents."""
+    return balance.hangs_on_friction and len(balance.system.model.tangent_directions) > 1
 
 
 def start_at_rest(
     problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Newton up through growing sets of harmonics from rest, and beside it the harmonics of full stick."""
+    """A cold start where rest takes the place of full stick on average: see ``ladder.start_cold``.
+
+    Where little slips, a splitting creeps like Newton's method, and is left out.
+    """
     rest, steps = find_rest(problem)
-    forces, rigid = balance.full_stick
     if rest is None:
-        unknowns = balance.pack(forces, rigid)
-        residual = float(np.linalg.norm(balance.residual(unknowns)))
-        return Attempt(unknowns, residual, steps, "no static solution was found", False)
-    begin = lambda level: (np.vstack([rest.forces[:1], level.full_stick[0][1:]]), rest.rigid)  # noqa: E731
-    climbed = climb(balance, tolerance, linear_solver, LEVELS, begin=begin)
-    return replace(climbed, iterations=steps + climbed.iterations)
+        cold = start_cold(balance, tolerance, linear_solver, COARSE_LEVELS, COARSE_TOLERANCE)
+        return replace(cold, iterations=steps + cold.iterations)
+
+    def begin(level: HarmonicBalance) -> tuple[ComplexArray, RealArray]:
+        return np.vstack([rest.forces[:1], level.full_stick[0][1:]]), rest.rigid
+
+    def join(splitting: Splitting) -> RealArray:
+        forces, rigid = begin(splitting.balance)
+        return splitting.join(forces, splitting.balance.compliance.motion(forces, rigid))
+
+    def attempt() -> Iterator[Attempt]:
+        if np.linalg.norm(balance.residual(balance.pack(*begin(balance)))) > SLIPPING:
+            yield start_from_splitting(balance, tolerance, linear_solver, join)
+        yield climb(balance, tolerance, linear_solver, LEVELS, begin=begin)
+
+    found = pick_first(attempt())
+    return replace(found, iterations=steps + found.iterations)
 
 
 def find_rest(problem: ContactProblem) -> tuple[PeriodicMotion | None, int]:
     """The static solution under the means of the load and of normal forces that are given, if found; Newton steps."""
-    static, steps = keep_means(problem), 0
+    static = keep_means(problem)
     balance = HarmonicBalance(static.system)
-    start = balance.pack(*balance.full_stick)
+    held = None
     if balance.hangs_on_friction:
-        held = HarmonicBalance(hold_in_place(static).system, balance.force_unit)
-        found = run_newton(held, held.pack(*held.full_stick), REST, "elimination")
-        steps += found.iterations
-        start = found.unknowns if found.converged else start
-    found = run_newton(balance, start, REST, "elimination")
-    steps += found.iterations
-    return PeriodicMotion(static, *balance.unpack(found.unknowns)) if found.converged else None, steps
+        held = pick_first(_hold(static, balance.force_unit, grips) for grips in GRIPS)
+    found = pick_first(_come_to_rest(static, balance, held))
+    rest = PeriodicMotion(static, *balance.unpack(found.unknowns)) if found.converged else None
+    return rest, found.iterations + (held.iterations if held else 0)
+
+
+def _come_to_rest(static: ContactProblem, balance: HarmonicBalance, held: Attempt | None) -> Iterator[Attempt]:
+    """From where springs hold pairs in place, if that was found; at last from full stick."""
+    for shares in ((), SHARES) if held and held.converged else ():
+        levels = (HarmonicBalance(static.system, balance.force_unit, share) for share in (*shares, 0.0))
+        yield _run_through(levels, held.unknowns)
+    yield run_newton(balance, balance.pack(*balance.full_stick), REST, "elimination")
+
+
+def _hold(static: ContactProblem, force_unit: float, grips: Sequence[float]) -> Attempt:
+    """Newton to where springs hold pairs in place, with so many times their friction, in turn, the last one their own.
+
+    With more friction pairs that slip are fewer; those that ought to stick are hard to find among those that slip.
+    """
+    held = hold_in_place(static)
+    levels = []
+    for grip in grips:
+        laws = [(pairs, replace(laws, friction=grip * np.asarray(laws.friction))) for pairs, laws in held.groups]
+        levels.append(HarmonicBalance(replace(held, laws=laws).system, force_unit))
+    return _run_through(levels, levels[0].pack(*levels[0].full_stick))
+
+
+def _run_through(levels: Iterable[HarmonicBalance], start: RealArray) -> Attempt:
+    """Newton on balances in turn, each from where it ended on the one before: the last attempt, with all steps."""
+    steps = 0
+    for level in levels:
+        found = run_newton(level, start, REST, "elimination", REST_STEPS)
+        steps, start = steps + found.iterations, found.unknowns
+    return replace(found, iterations=steps)
 
 
 def keep_means(problem: ContactProblem) -> ContactProblem:

@@ -94,12 +94,17 @@ def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
     )
 
 
-def start_from_splitting(balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver) -> Attempt:
+def start_from_splitting(
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    begin: Callable[[Splitting], RealArray] = Splitting.begin,
+) -> Attempt:
     """Newton from where a splitting ends, or ever nearer to there; full stick where that is nowhere near a solution."""
     none = begin_at_full_stick(balance)
     if none.residual <= tolerance or not can_split(balance):
         return none
-    starts = ((unknowns, True, 0) for unknowns in come_near_through_sets(balance, Splitting.begin))
+    starts = ((unknowns, True, 0) for unknowns in come_near_through_sets(balance, begin))
     return try_starts(balance, starts, tolerance, linear_solver, SPLIT_STEPS, run_and_follow) or none
 
 

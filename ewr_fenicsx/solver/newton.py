@@ -18,7 +18,7 @@ from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
-from ewr_fenicsx.solver.at_rest import start_at_rest
+from ewr_fenicsx.solver.at_rest import hangs_in_plane, start_at_rest
 from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
 from ewr_fenicsx.solver.growing_load import grow_load, trace_load
 from ewr_fenicsx.solver.ladder import (
@@ -178,12 +178,12 @@ def list_rungs(
         return
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
-    if balance.hangs_on_friction:
-        yield "from rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver)
     own = has_own_weights(problem)
     levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
     limit = OWN_STEPS if own and not problem.system.closures else None
     cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
+    if hangs_in_plane(balance):
+        cold = "start at rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver)
     if own:  # the default ones take all rungs that there are
         given = (problem, balance, start, tolerance, linear_solver)
         usual = "from the default weights and dashpots", lambda _: leave_default_weights(*given)

@@ -1,0 +1,106 @@
+"""Roots of solids whose slot runs out at both ends: along it friction alone holds the blade."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, load_scene, solve
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solver import at_rest, newton
+from ewr_fenicsx.structure.chain import build_chain
+
+SCENE = """
+[geometry]
+source = "{source}"
+[geometry.parameters]
+profile = "{profile}"
+depth = 0.02
+layers = 2
+skew = 15.0
+pairs = 3
+mesh_size = 4e-3
+[loads.pull]
+boundary = "tip"
+force = [0, 8000, 0]
+[loads.shake]
+boundary = "tip"
+force = [20, 0, 10]
+harmonic = 1
+[outputs.tip]
+boundary = "tip"
+direction = [1, 0, 0]
+[excitation]
+frequency = 600
+"""
+MOST_STEPS = 60  # Newton steps, those of the static solution with it
+
+
+def build(folder: Path, profile: str) -> ReducedModel:
+    path = folder / f"{profile}.toml"
+    path.write_text(SCENE.format(source=Path(__file__).parents[2] / "geometry/extruded.py", profile=profile))
+    return build_chain(load_scene(path)).reduction.model
+
+
+@pytest.fixture(scope="module")
+def fir_tree(tmp_path_factory) -> ReducedModel:
+    return build(tmp_path_factory.mktemp("fir_tree"), "fir_tree")
+
+
+@pytest.fixture(scope="module")
+def dovetail(tmp_path_factory) -> ReducedModel:
+    return build(tmp_path_factory.mktemp("dovetail"), "dovetail")
+
+
+def keep_means(model: ReducedModel) -> ReducedModel:
+    return replace(model, load={0: model.load[0]})
+
+
+@pytest.mark.parametrize("static_friction", ["resolved", "held"])
+@pytest.mark.parametrize("friction", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize(
+    ("frequency", "harmonics", "shaken"), [(0, 0, 0), (600, 1, 1), (600, 3, 1), (950, 3, 1), (600, 3, 20)]
+)
+def test_a_root_that_friction_holds_along_its_slot(fir_tree, frequency, harmonics, shaken, friction, static_friction):
+    model = replace(fir_tree, load={h: f * (shaken if h else 1) for h, f in fir_tree.load.items() if h <= harmonics})
+    laws = ContactLaws(friction=friction, static_friction=static_friction)
+    solution = solve(ContactProblem(model, laws, float(frequency), harmonics))
+    assert solution.converged and solution.iterations <= MOST_STEPS and not solution.fallbacks
+
+
+@pytest.mark.parametrize("static_friction", ["resolved", "held"])
+def test_a_resonance_at_which_most_pairs_slip(fir_tree, static_friction):
+    model = replace(fir_tree, load={0: fir_tree.load[0], 1: 20 * fir_tree.load[1]})
+    assert solve(ContactProblem(model, ContactLaws(friction=0.3, static_friction=static_friction), 950.0, 5)).converged
+
+
+def test_from_rest_and_from_full_stick_come_to_one_solution(fir_tree, monkeypatch):
+    problem = ContactProblem(fir_tree, ContactLaws(friction=0.3), 600.0, 1)
+    rested = solve(problem)
+    monkeypatch.setattr(newton, "hangs_in_plane", lambda balance: False)
+    stuck = solve(problem)
+    assert stuck.iterations > 2 * rested.iterations
+    np.testing.assert_allclose(
+        rested.coordinates, stuck.coordinates, rtol=0, atol=1e-5 * abs(stuck.coordinates[1]).max()
+    )
+
+
+def test_where_springs_hold_by_far_more_than_friction_needs_their_weight_falls_in_steps(fir_tree, monkeypatch):
+    problem = ContactProblem(keep_means(fir_tree), ContactLaws(friction=0.8), 0.0, 0)
+    rest, steps = at_rest.find_rest(problem)
+    balance = HarmonicBalance(rest.problem.system)
+    assert np.linalg.norm(balance.residual(balance.pack(rest.forces, rest.rigid))) < at_rest.REST
+    monkeypatch.setattr(at_rest, "SHARES", (0.0,))
+    assert at_rest.find_rest(problem)[1] > 1.5 * steps
+
+
+@pytest.mark.parametrize("friction", [0.6, 0.8, 1.0])
+def test_pairs_that_springs_hold_are_found_from_more_friction(dovetail, monkeypatch, friction):
+    laws = ContactLaws(friction=friction, static_friction="held")
+    problem = ContactProblem(keep_means(dovetail), laws, 0.0, 0)
+    assert not solve(problem).fallbacks
+    monkeypatch.setattr(at_rest, "GRIPS", ((1.0,),))
+    assert at_rest.find_rest(problem)[0] is None
