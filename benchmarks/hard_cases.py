@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -119,14 +119,19 @@ def limit_work(seconds: float) -> Iterator[None]:
 
 
 def draw_cases(model: str, count: int, seed: int) -> list[Case]:
+    """A sample of hard cases of a model."""
+    return [Case(model, **case) for case in draw_levels(DIMENSIONS, count, seed)]
+
+
+def draw_levels(dimensions: Mapping[str, Sequence], count: int, seed: int) -> list[dict]:
     """A sample with every level of every dimension equally often, up to rounding."""
     rng = np.random.default_rng(seed)
     columns = {}
-    for name, levels in DIMENSIONS.items():
+    for name, levels in dimensions.items():
         rounds = -(-count // len(levels))
         order = np.concatenate([rng.permutation(len(levels)) for _ in range(rounds)])[:count]
         columns[name] = [levels[i] for i in rng.permutation(order)]
-    return [Case(model, **{name: column[i] for name, column in columns.items()}) for i in range(count)]
+    return [{name: column[i] for name, column in columns.items()} for i in range(count)]
 
 
 @lru_cache(maxsize=32)

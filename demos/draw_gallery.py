@@ -15,6 +15,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.gathering import gather_cells
@@ -35,6 +36,7 @@ SCENES = (
     "platform_damper",
     "bolted_lap",
     "tapping_rod",
+    "broached_dovetail",
 )
 IN_README = "blade_root"  # its mesh.png, as `ewr run` draws it
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
@@ -42,6 +44,41 @@ SAMPLES = 256
 
 
 # %%
+def find_largest_motion(chain, solution, with_mean=False):
+    """Displacements of the nodes at the instant when they are largest, cells with them, and what to magnify them by."""
+    phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
+    shown = np.array(solution.orders)[:, None] > (-1 if with_mean else 0)
+    frames = (phase @ np.where(shown, solution.coordinates, 0)).real
+    field = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
+    cells = gather_cells(chain, field)
+    stretch = 0.06 * cells.scale / max(np.linalg.norm(cells.values, axis=2).max(), 1e-300)
+    return field.x.array.reshape(-1, chain.mesh.dimension), cells, stretch
+
+
+def draw_solid_motion(axes, chain, solution):
+    """The same of solids: their outer faces, seen from above and aside, with nodes of pairs through them."""
+    stand = lambda places: 1e3 * np.roll(places, 1, axis=-1)  # noqa: E731  mplot3d's third axis is upright
+    moved, cells, stretch = find_largest_motion(chain, solution)
+    corners, interface = cells.corners + stretch * cells.values, chain.interface
+    for k, body in enumerate(np.unique(cells.body)):
+        style = {"facecolors": BODY_COLOURS[k % len(BODY_COLOURS)], "edgecolors": "#bbbbbb", "linewidths": 0.2}
+        axes.add_collection3d(Poly3DCollection(stand(corners[cells.body == body]), alpha=0.7, zorder=1, **style))
+    for outline, style in (
+        (cells.outline(), {"colors": "#999999", "linewidths": 0.6, "linestyles": "--"}),
+        (cells.outline(stretch), {"colors": INK, "linewidths": 0.8}),
+    ):
+        axes.add_collection3d(Line3DCollection(stand(outline), zorder=2, **style))
+    places = stand(interface.position + stretch * moved[interface.nodes_a]).T
+    axes.plot(*places, ".", color=FLANK_COLOURS[0], markersize=2.5, zorder=3, label="nodes of the contact pairs")
+    low, high = (stand(limit(corners.reshape(-1, 3), axis=0)) for limit in (np.min, np.max))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=1.05)
+    axes.view_init(30, 28)
+    axes.set_axis_off()
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=7, markerscale=3)
+    axes.set_title(f"motion, magnified {stretch:.0f} times")
+
+
 def draw_motion(axes, chain, solution):
     """The bodies at the instant of their largest motion, magnified as their initial gap is; nodes of pairs in red.
 
@@ -50,13 +87,7 @@ def draw_motion(axes, chain, solution):
     """
     interface = chain.interface
     gap = np.array([chain.scene.laws_on(flank).initial_gap for flank in interface.flanks])[interface.flank_of_pair]
-    phase = np.exp(2j * np.pi * np.outer(np.arange(SAMPLES), solution.orders) / SAMPLES)
-    shown = np.array(solution.orders)[:, None] > (-1 if gap.any() else 0)
-    frames = (phase @ np.where(shown, solution.coordinates, 0)).real
-    field = chain.reduction.expand(frames[int(np.linalg.norm(frames, axis=1).argmax())])
-    moved = field.x.array.reshape(-1, 2)
-    cells = gather_cells(chain, field)
-    stretch = 0.06 * cells.scale / max(np.linalg.norm(cells.values, axis=2).max(), 1e-300)
+    moved, cells, stretch = find_largest_motion(chain, solution, with_mean=gap.any())
     apart = np.linalg.lstsq(interface.normal, gap, rcond=None)[0]
     second = cells.body == chain.mesh.bodies[chain.scene.contact.body_b]
     cells = replace(cells, corners=cells.corners + stretch * np.where(second[:, None, None], apart, 0))
@@ -136,8 +167,10 @@ def draw_scene(name: str) -> str:
     chain = build_chain(scene)
     study = run_study(chain)
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    draw_motion(left, study.chain, study.solution)
+    solid = study.chain.mesh.dimension == 3
+    left = figure.add_subplot(1, 2, 1, **({"projection": "3d", "computed_zorder": False} if solid else {}))
+    right = figure.add_subplot(1, 2, 2)
+    (draw_solid_motion if solid else draw_motion)(left, study.chain, study.solution)
     if len(scene.frequencies) > 1:
         frequencies, rms = study.curve
         draw_curve(right, frequencies, 1e3 * rms, "frequency [Hz]", "rms of the tip [mm]", "response")
@@ -165,7 +198,7 @@ def draw_scene(name: str) -> str:
 # %%
 PAGE = """# Gallery
 
-Seven scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that
+Eight scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that
 a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture
 the joint at the instant of its largest motion, dashed at rest, with the nodes of its contact pairs in red. The mean,
 which static loads cause, is not drawn, so that bodies may overlap a little; where there is an initial gap, it is

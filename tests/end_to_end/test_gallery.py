@@ -31,6 +31,7 @@ SCENES = (
     "platform_damper",
     "bolted_lap",
     "tapping_rod",
+    "broached_dovetail",
 )
 
 
@@ -116,6 +117,24 @@ def test_tapping_rod(run):
     assert summary["solution"]["merit"]["penetration"] < 0.1 * 20e-6
     assert column(pairs, "normal_force_mean [N]").sum() > 10
     assert summary["solution"]["unknowns"] == len(pairs) * 19, "no tangential unknown"
+
+
+def test_broached_dovetail(run):
+    """The spin is carried, nothing but friction acts along the slot, and pairs slip in the plane of their flank."""
+    summary, pairs, folder = run("broached_dovetail")
+    assert summary["solution"]["unknowns"] == 3 * len(pairs) * 11 + 6 and summary["solution"]["fallbacks"] == []
+    merit = summary["solution"]["merit"]
+    assert abs(merit["energy_error"]) < 1e-5 and merit["friction_dissipation"] > merit["viscous_dissipation"]
+    assert max(column(pairs, "slip_share")) > 0.5
+    along, across = (
+        np.ptp([column(pairs, f"{name}_{end} [m]") for end in ("min", "max")], axis=0).max()
+        for name in ("slip", "second_slip")
+    )
+    assert min(along, across) > 1e-6
+    normals = np.array([column(pairs, f"normal_{axis}") for axis in "xyz"])
+    slot = np.array([np.sin(np.radians(15.0)), 0.0, np.cos(np.radians(15.0))])
+    np.testing.assert_allclose(slot @ normals, 0.0, atol=1e-9)
+    assert (folder / "second_slip.xdmf").exists()
 
 
 def test_platform_damper(run):
