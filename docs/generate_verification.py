@@ -218,6 +218,20 @@ from one period to the next (median).""",
     ]
 
 
+def describe_hanging_solids(found: dict) -> list[str]:
+    """What converges of solids that friction alone holds, as Markdown."""
+    return [
+        f"""Solids that friction alone holds along their slot or on their base (`benchmarks/hanging_solids.py`, seed
+{found["seed"]}): frequencies from 0.3 to 3 times the first full-stick mode, oscillating forces from 0.01 to 3 times the
+mean ones, friction 0.05 to 1, 1 to 9 harmonics, the mean friction resolved or held; cold, nothing tuned by case. A body
+that is shaken by more than friction holds walks, and has no periodic motion: `solve` says so. "No answer" is anything
+else that did not converge, within {found["cap_seconds"]:g} s. Steps of the static solution, with one harmonic, count
+with the others; times are in seconds.""",
+        "",
+        write_table(found["header"], found["rows"]),
+    ]
+
+
 def describe_newton_cost(found: dict) -> list[str]:
     """Times of warm and cold solves over one dense solve as Markdown."""
     keys = ["N", "frequencies", "count", "unknowns", "dense ms", "warm", "cold", "worst warm", "worst cold"]
@@ -289,6 +303,7 @@ as one, and their answers {found["difference"]:.0e} of the largest amplitude apa
 
 BENCHMARKS = {
     "Hard cases": ("hard_cases", describe_hard_cases),
+    "Solids that hang on friction": ("hanging_solids", describe_hanging_solids),
     "Cold starts": ("cold_starts", describe_cold_starts),
     "What a solve costs": ("newton_cost", describe_newton_cost),
     "How a step grows": ("scaling", describe_scaling),

@@ -33,7 +33,6 @@ REST, REST_STEPS = 1e-8, 40  # residual of a static solution, and Newton steps a
 # Friction over its own, in turn, on each of the ways to where springs hold pairs in place; and least weights of the
 # mean force in its equation, in turn, where Newton does not go on from there at once.
 GRIPS, SHARES = ((1.0,), (1.5, 1.2, 1.0)), (0.1, 0.01, 0.001)
-LEVELS = FINE_LEVELS  # steps with one harmonic cost little where pairs have two tangents
 SLIPPING = 0.2  # residual of rest and what oscillates at full stick, from where on a splitting leads somewhere
 
 
@@ -64,7 +63,7 @@ def start_at_rest(
     def attempt() -> Iterator[Attempt]:
         if np.linalg.norm(balance.residual(balance.pack(*begin(balance)))) > SLIPPING:
             yield start_from_splitting(balance, tolerance, linear_solver, join)
-        yield climb(balance, tolerance, linear_solver, LEVELS, begin=begin)
+        yield climb(balance, tolerance, linear_solver, FINE_LEVELS, begin=begin)
 
     found = pick_first(attempt())
     return replace(found, iterations=steps + found.iterations)

@@ -9,8 +9,8 @@ are all the Newton steps that the way took:
 4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 
 ``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
-``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second. ``climb`` may be given others,
-which it tries on each set of harmonics where Newton stalls.
+``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second; ``at_rest.py`` begins both
+elsewhere. ``climb`` may be given others, which it tries on each set of harmonics where Newton stalls.
 """
 
 from __future__ import annotations

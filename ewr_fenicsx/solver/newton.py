@@ -73,14 +73,15 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
-    harmonics, each starting at the one before; from where a few periods of time stepping end, and a long splitting
-    leads from there; along Newton's path while the oscillating load grows, with few samples a period first; laws with
-    rounded corners that are sharpened along their branch; damping traced from where little can bounce to the model's
-    own; rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the
-    whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are
-    far from the default ones, are come to from a solution with these, which takes all these rungs and is the answer
-    itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to
-    corner (``newton_path.py``); each factorisation counts as a Newton step.
+    harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``); from where a
+    few periods of time stepping end, and a long splitting leads from there; along Newton's path while the oscillating
+    load grows, with few samples a period first; laws with rounded corners that are sharpened along their branch;
+    damping traced from where little can bounce to the model's own; rounded corners through more sets of harmonics, with
+    the oscillating load traced from a small share to the whole, past folds; and that tracing by itself. Weights of
+    one's own that the first climb does not find, or that are far from the default ones, are come to from a solution
+    with these, which takes all these rungs and is the answer itself where no way leads on. Where Newton's method stalls
+    next to a solution, its path leads on from corner to corner (``newton_path.py``); each factorisation counts as a
+    Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
