@@ -56,7 +56,7 @@ def find_largest_motion(chain, solution, with_mean=False):
 
 
 def draw_solid_motion(axes, chain, solution):
-    """The same of solids: their outer faces, seen from above and aside, with nodes of pairs through them."""
+    """As ``draw_motion``, of solids that touch at rest: outer faces from above and aside, pairs seen through them."""
     stand = lambda places: 1e3 * np.roll(places, 1, axis=-1)  # noqa: E731  mplot3d's third axis is upright
     moved, cells, stretch = find_largest_motion(chain, solution)
     corners, interface = cells.corners + stretch * cells.values, chain.interface

@@ -43,7 +43,7 @@ class HarmonicBalance:
     """
 
     def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):
-        self.system = system
+        self.system, self.least_share = system, least_share
         self._force_unit = force_unit
         self._last = None  # the point at which the laws were evaluated last, and what came out
         self.basis = system.basis
@@ -134,7 +134,7 @@ class HarmonicBalance:
     @cached_property
     def firm(self) -> HarmonicBalance:
         """The balance to start with: each mean friction force has the share ``FIRM`` at least in its own equation."""
-        firm = HarmonicBalance(self.system, self.force_unit, FIRM)
+        firm = HarmonicBalance(self.system, self.force_unit, max(FIRM, self.least_share))
         return self if firm.is_like(self) else firm
 
     def is_like(self, other: HarmonicBalance) -> bool:

@@ -74,5 +74,9 @@ def find_stuck(balance: HarmonicBalance, forces: ComplexArray, rigid: RealArray)
 
 
 def hold_in_place(problem: ContactProblem) -> ContactProblem:
-    """The problem with friction that holds its pairs where they are without loads."""
-    return replace(problem, laws=[(pairs, replace(laws, static_friction="held")) for pairs, laws in problem.groups])
+    """The problem with friction that holds its pairs where they are without loads, but for such as has no mean."""
+    groups = [
+        (pairs, laws if laws.static_friction == "zero" else replace(laws, static_friction="held"))
+        for pairs, laws in problem.groups
+    ]
+    return replace(problem, laws=groups)

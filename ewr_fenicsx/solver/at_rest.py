@@ -37,12 +37,16 @@ SLIPPING = 0.2  # residual of rest and what oscillates at full stick, from where
 
 
 def hangs_in_plane(balance: HarmonicBalance) -> bool:
-    """Whether bodies hang on friction of pairs with two tangents."""
+    """Whether bodies hang on friction of pairs with two tangents, or may float and are held by it."""
     return balance.hangs_on_friction and len(balance.system.model.tangent_directions) > 1
 
 
 def start_at_rest(
-    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+    problem: ContactProblem,
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    limit: int | None = None,
 ) -> Attempt:
     """A cold start where rest takes the place of full stick on average: see ``ladder.start_cold``.
 
@@ -50,7 +54,7 @@ def start_at_rest(
     """
     rest, steps = find_rest(problem)
     if rest is None:
-        cold = start_cold(balance, tolerance, linear_solver, COARSE_LEVELS, COARSE_TOLERANCE)
+        cold = start_cold(balance, tolerance, linear_solver, COARSE_LEVELS, COARSE_TOLERANCE, limit)
         return replace(cold, iterations=steps + cold.iterations)
 
     def begin(level: HarmonicBalance) -> tuple[ComplexArray, RealArray]:
@@ -63,7 +67,7 @@ def start_at_rest(
     def attempt() -> Iterator[Attempt]:
         if np.linalg.norm(balance.residual(balance.pack(*begin(balance)))) > SLIPPING:
             yield start_from_splitting(balance, tolerance, linear_solver, join)
-        yield climb(balance, tolerance, linear_solver, FINE_LEVELS, begin=begin)
+        yield climb(balance, tolerance, linear_solver, FINE_LEVELS, limit=limit, begin=begin)
 
     found = pick_first(attempt())
     return replace(found, iterations=steps + found.iterations)
@@ -119,4 +123,5 @@ def keep_means(problem: ContactProblem) -> ContactProblem:
         else (pairs, laws)
         for pairs, laws in problem.groups
     ]
-    return replace(problem, frequency=0.0, laws=groups, load={h: f for h, f in problem.loads.items() if h == 0})
+    load = {h: f for h, f in problem.loads.items() if h == 0}
+    return replace(problem, frequency=0.0, laws=groups, load=load, rho_tangential=None)  # weighs velocities

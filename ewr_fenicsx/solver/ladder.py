@@ -118,7 +118,7 @@ def climb(
     limit: int | None = None,
     begin: Callable[[HarmonicBalance], tuple[ComplexArray, RealArray]] = lambda level: level.full_stick,
 ) -> Attempt:
-    """Growing sets of harmonics from where the first ``begin``s, each started at the solution of the one before.
+    """Growing sets of harmonics, the first from where ``begin`` says, the others from the solution of the one before.
 
     On a set where Newton stalls, a long splitting from the same start and then ``rungs`` are tried in turn, if there
     are any. Where there are none, in large joints a set on which nothing comes near a solution is the last: on larger

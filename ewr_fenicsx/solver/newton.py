@@ -184,7 +184,7 @@ def list_rungs(
     limit = OWN_STEPS if own and not problem.system.closures else None
     cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
     if hangs_in_plane(balance):
-        cold = "start at rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver)
+        cold = "start at rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver, limit)
     if own:  # the default ones take all rungs that there are
         given = (problem, balance, start, tolerance, linear_solver)
         usual = "from the default weights and dashpots", lambda _: leave_default_weights(*given)

@@ -97,10 +97,30 @@ def test_where_springs_hold_by_far_more_than_friction_needs_their_weight_falls_i
     assert at_rest.find_rest(problem)[1] > 1.5 * steps
 
 
-@pytest.mark.parametrize("friction", [0.6, 0.8, 1.0])
-def test_pairs_that_springs_hold_are_found_from_more_friction(dovetail, monkeypatch, friction):
-    laws = ContactLaws(friction=friction, static_friction="held")
-    problem = ContactProblem(keep_means(dovetail), laws, 0.0, 0)
-    assert not solve(problem).fallbacks
-    monkeypatch.setattr(at_rest, "GRIPS", ((1.0,),))
-    assert at_rest.find_rest(problem)[0] is None
+@pytest.mark.parametrize("static_friction", ["resolved", "held"])
+@pytest.mark.parametrize("friction", [0.6, 0.8, 1.0, 1.5])
+def test_roots_that_jam_come_to_rest(dovetail, friction, static_friction):
+    problem = ContactProblem(
+        keep_means(dovetail), ContactLaws(friction=friction, static_friction=static_friction), 0.0, 0
+    )
+    rest, steps = at_rest.find_rest(problem)
+    assert rest is not None and steps <= 3 * at_rest.REST_STEPS
+
+
+def test_pairs_without_mean_friction_are_not_held_on_the_way(fir_tree):
+    pairs = np.arange(fir_tree.pairs)
+    laws = [
+        (pairs[::2], ContactLaws(friction=0.3)),
+        (pairs[1::2], ContactLaws(friction=0.3, static_friction="zero")),
+    ]
+    solution = solve(ContactProblem(fir_tree, laws, 600.0, 1))
+    assert solution.converged and "residual" in solution.summary()
+    means = solution.pair_forces["second_tangential"][0].real
+    assert not means[1::2].any() and means[::2].any()
+
+
+def test_a_weight_of_ones_own_changes_nothing_at_rest(fir_tree):
+    problem = ContactProblem(fir_tree, ContactLaws(friction=0.3), 600.0, 1)
+    weight = next(law.rho for law in problem.system.laws if law.direction == "tangential")
+    usual, own = (at_rest.find_rest(p)[0].forces for p in (problem, replace(problem, rho_tangential=100 * weight)))
+    np.testing.assert_array_equal(usual, own)
