@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from statistics import mean, median
@@ -70,7 +70,7 @@ def pose(profile: str, case: dict) -> ContactProblem:
     problem = ContactProblem(model, laws, case["frequency"] * find_first_mode(model), case["harmonics"])
     forces, _ = HarmonicBalance(problem.system).full_stick
     factor = case["load"] * np.linalg.norm(forces[0]) / np.linalg.norm(forces[1:])
-    return ContactProblem(shake(model, factor), laws, problem.frequency, case["harmonics"])
+    return replace(problem, model=shake(model, factor))
 
 
 def walks(outcome: Outcome) -> bool:

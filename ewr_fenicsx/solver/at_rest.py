@@ -38,7 +38,7 @@ SLIPPING = 0.2  # residual of rest and what oscillates at full stick, from where
 
 def hangs_in_plane(balance: HarmonicBalance) -> bool:
     """Whether bodies hang on friction of pairs with two tangents, or may float and are held by it."""
-    return balance.hangs_on_friction and len(balance.system.model.tangent_directions) > 1
+    return balance.hangs_on_friction and balance.system.model.tangents > 1
 
 
 def start_at_rest(

@@ -3,56 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from hanging_solids import build
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, load_scene, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.solver import at_rest, newton
-from ewr_fenicsx.structure.chain import build_chain
 
-SCENE = """
-[geometry]
-source = "{source}"
-[geometry.parameters]
-profile = "{profile}"
-depth = 0.02
-layers = 2
-skew = 15.0
-pairs = 3
-mesh_size = 4e-3
-[loads.pull]
-boundary = "tip"
-force = [0, 8000, 0]
-[loads.shake]
-boundary = "tip"
-force = [20, 0, 10]
-harmonic = 1
-[outputs.tip]
-boundary = "tip"
-direction = [1, 0, 0]
-[excitation]
-frequency = 600
-"""
 MOST_STEPS = 60  # Newton steps, those of the static solution with it
 
 
-def build(folder: Path, profile: str) -> ReducedModel:
-    path = folder / f"{profile}.toml"
-    path.write_text(SCENE.format(source=Path(__file__).parents[2] / "geometry/extruded.py", profile=profile))
-    return build_chain(load_scene(path)).reduction.model
+@pytest.fixture(scope="module")
+def fir_tree() -> ReducedModel:
+    return build("fir_tree")
 
 
 @pytest.fixture(scope="module")
-def fir_tree(tmp_path_factory) -> ReducedModel:
-    return build(tmp_path_factory.mktemp("fir_tree"), "fir_tree")
-
-
-@pytest.fixture(scope="module")
-def dovetail(tmp_path_factory) -> ReducedModel:
-    return build(tmp_path_factory.mktemp("dovetail"), "dovetail")
+def dovetail() -> ReducedModel:
+    return build("dovetail")
 
 
 def keep_means(model: ReducedModel) -> ReducedModel:
