@@ -181,14 +181,14 @@ class TimeScheme:
                 self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
                 self.initial_gap[normal] = problem.clearance[pairs]
             if laws.tangential == "coulomb":
-                self.kind[tangential] = FRICTION
-                self.partner[tangential] = normal
-                self.twin[tangential] = second = system.row_of("second_tangential", pairs)
+                rubs = tangential >= 0
+                row, friction = tangential[rubs], spread_over_pairs(laws.friction, pairs, total)[rubs]
+                self.kind[row], self.partner[row], self.friction[row] = FRICTION, normal[rubs], friction
+                self.twin[row] = second = system.row_of("second_tangential", pairs[rubs])
                 self.kind[second[second >= 0]] = FRICTION
-                self.friction[tangential] = spread_over_pairs(laws.friction, pairs, total)
                 if laws.normal == "prescribed":
-                    force = np.maximum(0.0, self.sample(system.prescribed, pairs))
-                    self.given_limit[:, tangential] = self.dt * self.friction[tangential] * force
+                    force = np.maximum(0.0, self.sample(system.prescribed, pairs[rubs]))
+                    self.given_limit[:, row] = self.dt * friction * force
             order += [row for both in zip(normal, tangential, strict=True) for row in both if row >= 0]
         self.order = np.array(order, dtype=np.int64)
 

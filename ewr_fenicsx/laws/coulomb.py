@@ -48,7 +48,7 @@ class DryFriction(LawKind):
     histories = ("friction_force", "admissible_friction_force", "slip", "slip_velocity")
     needs = ("normal",)
     effect = "friction"
-    odd = blind_to_mean = True
+    odd = blind_to_mean = rests = True
 
     def acts_in(self, tangents: int) -> tuple[str, ...]:
         return TANGENTS[: max(1, tangents)]
@@ -57,6 +57,8 @@ class DryFriction(LawKind):
         return MeanBound(0.0, 0.0, 0.0 if self.static_friction == "zero" else spread(self.friction))
 
     def build(self, group: PairGroup) -> tuple[Law, ...]:
+        if "tangential" not in group.weight:  # the pairs rest
+            return ()
         mean, friction = choose_mean_equation(group, self.static_friction), group.spread(self.friction)
         if "second_tangential" in group.weight:
             return build_in_plane(group, friction, mean)

@@ -187,6 +187,7 @@ class PairGroup:
         clearance: ``(K,)`` initial gap plus wear [m].
         period: Of the motion [s]; 0 where nothing oscillates.
         hangs_on_friction: Whether a floating body is held by nothing but friction.
+        stated: ``(K0,)`` pairs for which the kind was stated, among them these, in the same order.
     """
 
     pairs: np.ndarray
@@ -198,10 +199,11 @@ class PairGroup:
     clearance: RealArray
     period: float
     hangs_on_friction: bool
+    stated: np.ndarray
 
     def spread(self, value: float | RealArray) -> RealArray:
-        """A parameter (one value, one a pair of the group or one a pair of the model) as ``(K,)``."""
-        return spread_over_pairs(value, self.pairs, self.total)
+        """A parameter (one value, one a pair of the stated ones or one a pair of the model) as ``(K,)``."""
+        return spread_over_pairs(value, self.stated, self.total)[np.isin(self.stated, self.pairs)]
 
 
 class MeanBound(NamedTuple):
@@ -227,6 +229,8 @@ class LawKind(Protocol):
         odd: Whether the laws' residual changes sign with the forces and motions that they see; forces given from
             outside apart.
         blind_to_mean: Whether a mean displacement changes nothing in the laws.
+        rests: Whether a pair whose row of the model is zero along a tangent, as on a plane of symmetry, goes without
+            a force there. Else such a pair is refused.
         initial_gap: Clearance [m], scalar or ``(K,)``.
         friction: Coefficient of a Coulomb cone, scalar or ``(K,)``; zero where there is none.
     """
@@ -239,6 +243,7 @@ class LawKind(Protocol):
     only_pushes: ClassVar[bool] = False
     odd: ClassVar[bool] = False
     blind_to_mean: ClassVar[bool] = False
+    rests: ClassVar[bool] = False
     initial_gap = 0.0
     friction = 0.0
 

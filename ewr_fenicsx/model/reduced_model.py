@@ -56,7 +56,8 @@ class ReducedModel:
         normal: ``(K_c, n)`` rows with ``q_N = normal @ x`` [m]; None where no pair has a normal motion.
         tangential: ``(K_c, n)`` rows with ``q_T = tangential @ x`` [m], in 3-D ``(2 K_c, n)`` pair-major,
             for any two unit tangents at right angles; or None. By ``normal`` (zeros where a pair has no normal motion)
-            the two of a pair are told from two pairs: without it, each row is a pair of its own.
+            the two of a pair are told from two pairs: without it, each row is a pair of its own. A row of zeros, in
+            3-D that of the second tangent or both, is one along which nothing slides, as on a plane of symmetry.
         load: Harmonic -> ``(n,)`` complex force amplitude [N]; harmonic 0 real.
         pair_area: ``(K_c,)`` tributary area of each pair [m^2]; None: ones, which ``evolve_wear`` warns of.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.

@@ -137,7 +137,7 @@ def gather_edges(chain: Chain) -> dict[str, RealArray | None]:
     """Nodes of the boundaries that are held or loaded by a force, on rank 0; collective."""
     scene = chain.scene
     loaded = (load.boundary for load in scene.loads.values() if load.kind == "force")
-    return {name: gather_boundary(chain, name) for name in sorted({*scene.supports.clamp, *loaded})}
+    return {name: gather_boundary(chain, name) for name in sorted({*scene.supports.boundaries, *loaded})}
 
 
 def gather_mode(chain: Chain) -> Cells | None:
@@ -183,9 +183,11 @@ def place_legend(axes: Axes, columns: int, bottom: float = 0.0) -> None:
 
 
 def mark_held(axes: Axes, scene: Scene, edge: Mapping[str, RealArray], size: float) -> None:
-    """A triangle for each node that is held."""
-    for name in scene.supports.clamp:
-        axes.plot(*(1e3 * edge[name].T), "^", color=INK, markersize=size, label=f"held: {name}")
+    """A triangle for each node that is held, a cross where it is along some axes only."""
+    supports = scene.supports
+    for name in supports.boundaries:
+        mark, along = ("^", "") if name in supports.clamp else ("x", f" along {' and '.join(supports.hold[name])}")
+        axes.plot(*(1e3 * edge[name].T), mark, color=INK, markersize=size, label=f"held{along}: {name}")
 
 
 def mark_pairs(axes: Axes, interface: Interface, size: float, labelled: bool = False) -> None:

@@ -74,7 +74,8 @@ def compose(problem: Statement) -> ContactSystem:
         laws=tuple(
             law
             for pairs, laws in problem.groups
-            for law in build_laws(problem, pairs, laws, layout, flexibility, rubs_to_hold)
+            for alike in layout.part(pairs)
+            for law in build_laws(problem, pairs, alike, laws, layout, flexibility, rubs_to_hold)
         ),
         flexibility=flexibility,
         basis=basis,
@@ -118,13 +119,14 @@ def check_mean(basis: FourierBasis, layout: Layout) -> None:
 
 def build_laws(
     problem: Statement,
+    stated: np.ndarray,
     pairs: np.ndarray,
     laws: ContactLaws,
     layout: Layout,
     flexibility: RealArray,
     rubs_to_hold: bool,
 ) -> list[Law]:
-    """Law objects of one group of pairs."""
+    """Law objects of some pairs among those for which the laws were stated."""
     rows = layout.rows_of(pairs)
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
@@ -133,7 +135,8 @@ def build_laws(
     }
     closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
     clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
-    group = PairGroup(pairs, problem.model.pairs, own, weights, closing, masses, clearance, period, rubs_to_hold)
+    total = problem.model.pairs
+    group = PairGroup(pairs, total, own, weights, closing, masses, clearance, period, rubs_to_hold, stated)
     return laws.build(group)
 
 

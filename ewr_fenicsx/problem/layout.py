@@ -30,6 +30,7 @@ class Demand(NamedTuple):
     pairs: tuple[int, ...]
     active: tuple[str, ...]  # directions with an unknown force
     held: tuple[str, ...]  # directions projected out
+    resting: tuple[str, ...]  # active ones in which pairs with a zero row have no force
 
 
 def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ...]) -> Demand:
@@ -47,6 +48,7 @@ def demand_rows(model: ReducedModel, pairs: np.ndarray, kinds: tuple[LawKind, ..
         tuple(pairs.tolist()),
         tuple(d for d in DIRECTIONS if d in acting),
         tuple(d for d in DIRECTIONS if d in held and d not in acting),
+        tuple(d for kind in kinds if kind.rests for d in kind.acts_in(model.tangents) if d in TANGENTS),
     )
 
 
@@ -88,6 +90,12 @@ class Layout:
         """Direction -> row of each of ``pairs``, for directions in which an unknown force acts at all of them."""
         return {d: at[pairs] for d, at in self.index.items() if np.all(at[pairs] >= 0)}
 
+    def part(self, pairs: np.ndarray) -> list[np.ndarray]:
+        """Pairs parted by the directions in which unknown forces act at them, each part in the same order."""
+        acts = np.array([self.row_of(direction, pairs) >= 0 for direction in DIRECTIONS])
+        kinds, kind_of = np.unique(acts, axis=1, return_inverse=True)
+        return [pairs[kind_of.ravel() == k] for k in range(kinds.shape[1])]
+
 
 @lru_cache(maxsize=16)
 def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
@@ -101,9 +109,10 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         pairs = np.array(demand.pairs, dtype=int)
         held += [model.rows(direction)[pairs] for direction in demand.held]
         for direction in demand.active:
-            active.setdefault(direction, []).append(pairs)
-    active = {direction: active[direction] for direction in DIRECTIONS if direction in active}
-    directions = {name: np.sort(np.concatenate(pairs)) for name, pairs in active.items()}
+            acting = pairs[_moves(model, direction, pairs)] if direction in demand.resting else pairs
+            active.setdefault(direction, []).append(acting)
+    active = {direction: np.sort(np.concatenate(active[direction])) for direction in DIRECTIONS if direction in active}
+    directions = {direction: pairs for direction, pairs in active.items() if pairs.size}
     rows = np.vstack([np.zeros((0, model.size)), *(model.rows(name)[pairs] for name, pairs in directions.items())])
     index, start = {}, 0
     for name, pairs in directions.items():
@@ -128,6 +137,13 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
     return Layout(kept, expansion, rows, index, flexibility, mobility)
+
+
+def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
+    """Which pairs have a row other than zero along a tangent, or along the first one in their plane."""
+    at = DIRECTIONS.index(tangent)
+    seen = [model.rows(tangent), *(model.rows(d) for d in model.tangent_directions if DIRECTIONS.index(d) > at)]
+    return np.any([np.any(rows[pairs], axis=1) for rows in seen], axis=0)
 
 
 def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:

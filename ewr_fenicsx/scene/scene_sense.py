@@ -253,21 +253,29 @@ def _check_harmonics(scene: Scene) -> Iterator[str]:
 
 
 def _check_supports(scene: Scene) -> Iterator[str]:
-    if (static := static_loads(scene)) and not scene.supports.clamp:
+    supports = scene.supports
+    if (static := static_loads(scene)) and not supports.boundaries:
         yield (
             f'supports.clamp = []: nothing carries the static load "{static[0]}", and the bodies fly off together; '
             "name the boundary that is held"
         )
-    for table, entries, what in (
-        ("loads", scene.loads, "the force does nothing"),
-        ("outputs", scene.outputs, "it never moves"),
+    for name in supports.clamp:
+        if name in supports.hold:
+            yield f'supports.hold.{name} = "{supports.hold[name]}": supports.clamp holds it in all directions; give one'
+    for table, entries, vector, what in (
+        ("loads", scene.loads, "force", "the force does nothing"),
+        ("outputs", scene.outputs, "direction", "it never moves"),
     ):
         for name, entry in entries.items():
-            if (boundary := getattr(entry, "boundary", None)) in scene.supports.clamp:
-                yield (
-                    f'{table}.{name}.boundary = "{boundary}": supports.clamp holds it, so that {what}; name a boundary '
-                    "that is free"
-                )
+            if (boundary := getattr(entry, "boundary", None)) in supports.clamp:
+                held = "supports.clamp holds it"
+            elif axes := supports.hold.get(boundary):
+                held = f"supports.hold holds it along {' and '.join(axes)}"
+                if any(size and axis not in axes for axis, size in zip("xyz", getattr(entry, vector), strict=False)):
+                    continue
+            else:
+                continue
+            yield f'{table}.{name}.boundary = "{boundary}": {held}, so that {what}; name a boundary that is free'
 
 
 def _check_accuracy(scene: Scene) -> Iterator[str]:

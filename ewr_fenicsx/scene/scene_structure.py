@@ -95,10 +95,28 @@ class ModalDamping(Section):
     ratio: Number = entry(..., "-", "Ratio of critical damping of every mode of the open joint.", ge=0, lt=1)
 
 
+Axes = Literal["x", "y", "z", "xy", "xz", "yz"]
+
+
 class Supports(Section):
-    """Where bodies are held."""
+    """Where bodies are held.
+
+    A boundary that is held across itself alone is a plane of symmetry: of a joint that is symmetric to it, with loads
+    that are, half need be meshed, under half of the forces.
+    """
 
     clamp: tuple[str, ...] = entry(("clamp",), "-", "Boundaries held in all directions.")
+    hold: dict[str, Axes] = entry(
+        {},
+        "-",
+        'Boundary = axes along which it is held, one or two of x, y and z, as `{ front = "z" }`: a plane of symmetry, '
+        "or what keeps a blade from sliding along its slot.",
+    )
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """All that are held, in whatever direction."""
+        return (*self.clamp, *self.hold)
 
 
 class ForceLoad(Section):

@@ -229,8 +229,8 @@ class PeriodicMotion:
         for pairs, laws in problem.groups:
             for direction in directions:
                 rows = system.row_of(direction, pairs)
-                if np.all(rows >= 0):
-                    found[direction][:, pairs] = self.forces[:, rows]
+                if np.any(acts := rows >= 0):
+                    found[direction][:, pairs[acts]] = self.forces[:, rows[acts]]
                 elif any(direction in kind.holds(model.tangents) for kind in laws.kinds):
                     held.append((direction, pairs))
         for h, amplitude in system.prescribed.items():

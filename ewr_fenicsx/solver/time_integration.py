@@ -177,8 +177,8 @@ class SteadyState:
                 rows = system.row_of(direction, pairs)
                 if law == "prescribed":
                     found["normal"][:, pairs] = scheme.sample(system.prescribed, pairs)
-                elif np.all(rows >= 0):
-                    found[direction][:, pairs] = self.last.impulses[:, rows] / scheme.dt
+                elif np.any(acts := rows >= 0):
+                    found[direction][:, pairs[acts]] = self.last.impulses[:, rows[acts]] / scheme.dt
                 elif law == "bonded":
                     held.append((direction, pairs))
         if held:

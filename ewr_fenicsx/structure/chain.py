@@ -132,6 +132,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 plane=scene.elasticity.plane,
                 degree=scene.elasticity.degree,
                 clamp=scene.supports.clamp,
+                hold=scene.supports.hold,
                 damping=_damping(scene),
                 loads=[_load(name, load) for name, load in scene.loads.items()],
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
@@ -144,10 +145,10 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 body_a=contact.body_a,
                 body_b=contact.body_b,
                 tolerance=contact.pair_tolerance,
-                in_use=[*scene.supports.clamp, *(getattr(entry, "boundary", None) for entry in followed)],
+                in_use=[*scene.supports.boundaries, *(getattr(entry, "boundary", None) for entry in followed)],
             )
             joint = interface.flanks, contact.body_a, contact.body_b
-            doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.clamp))
+            doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.boundaries))
         check_flanks(scene, interface)
         check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
         with watch.stage("reduction"):
@@ -251,6 +252,7 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
     bodies = {f"materials.{body}": body for body in scene.materials}
     bodies |= {"contact.body_a": contact.body_a, "contact.body_b": contact.body_b}
     boundaries = {f"supports.clamp[{k}]": name for k, name in enumerate(scene.supports.clamp)}
+    boundaries |= {f"supports.hold.{name}": name for name in scene.supports.hold}
     boundaries |= {f"contact.flanks[{k}]": name for k, name in enumerate(contact.flanks or ())}
     boundaries |= {
         f"{table}.{name}.boundary": entry.boundary

@@ -1,15 +1,17 @@
 """Linear elasticity, plane or solid: meshes become sparse mass, stiffness and damping matrices, loads and output rows.
 
-No boundary condition is built into the matrices: the clamped degrees of freedom are listed, and whoever solves leaves
-them out. In ``d`` dimensions the scalar degree of freedom ``d k + c`` is component ``c`` of node ``k`` of the space.
+No boundary condition is built into the matrices: the degrees of freedom that supports hold are listed, and whoever
+solves leaves them out. In ``d`` dimensions the scalar degree of freedom ``d k + c`` is component ``c`` of node ``k`` of
+the space.
 """
 
 from __future__ import annotations
 
 import cmath
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import dolfinx
 import numpy as np
@@ -32,6 +34,7 @@ from ewr_fenicsx.structure.materials import Damping, Material, PerMode, Rayleigh
 from ewr_fenicsx.structure.mesh import JointMesh
 
 UNDAMPED = Rayleigh()
+NO_AXES: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,7 @@ class Structure:
         mass: Sparse [kg].
         stiffness: Sparse [N/m].
         rayleigh: Coefficients of the damping matrix; zero where damping is per mode.
-        fixed_dofs: Global numbers of the clamped degrees of freedom that this rank owns, sorted.
+        fixed_dofs: Global numbers of the held degrees of freedom that this rank owns, sorted.
         loads: Nodal forces.
         outputs: Name -> row of the mean displacement.
         modal_damping: Ratio of critical damping a mode, applied in the reduced basis; None: ``rayleigh`` has it all.
@@ -163,9 +166,17 @@ class Structure:
         return connect(*links.T, count)
 
     @cached_property
-    def clamped(self) -> np.ndarray:
-        """Global numbers of all clamped degrees of freedom, rising, the same on every rank; collective on first use."""
+    def fixed(self) -> np.ndarray:
+        """Global numbers of all held degrees of freedom, rising, the same on every rank; collective on first use."""
         return np.concatenate(self.mass.comm.tompi4py().allgather(self.fixed_dofs))
+
+    @cached_property
+    def fixed_places(self) -> np.ndarray:
+        """Where those are, ``(n, d)`` [m]; collective on first use."""
+        comm, d = self.mass.comm.tompi4py(), self.mesh.dimension
+        first = self.mass.getOwnershipRange()[0]
+        mine = self.space.tabulate_dof_coordinates()[(self.fixed_dofs - first) // d, :d]
+        return np.concatenate(comm.allgather(mine))
 
 
 def connect(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
@@ -182,6 +193,7 @@ def assemble_structure(
     plane: str = "stress",
     degree: int = 1,
     clamp: Sequence[str] = ("clamp",),
+    hold: Mapping[str, str] = NO_AXES,
     damping: Damping = UNDAMPED,
     loads: Sequence[LoadSpec] = (),
     outputs: Sequence[OutputSpec] = (),
@@ -195,6 +207,7 @@ def assemble_structure(
         plane: "stress" or "strain"; no matter to solids.
         degree: Of the Lagrange elements, 1 or 2.
         clamp: Names of the boundaries held in all directions; may be empty.
+        hold: Boundary -> axes along which it is held, such as "z" or "xy".
         damping: How D is made.
         loads: Forces.
         outputs: Displacements to follow.
@@ -207,6 +220,7 @@ def assemble_structure(
     """
     _check_choices(mesh, materials, thickness, plane, degree)
     _check_vectors(mesh.dimension, loads, outputs)
+    _check_axes(mesh.dimension, hold)
     thickness = thickness if mesh.dimension == 2 else 1.0
     space = _compat.function_space(mesh.domain, "Lagrange", degree, (mesh.dimension,))
     density, shear, lame = _material_fields(mesh, materials, plane)
@@ -231,7 +245,7 @@ def assemble_structure(
         mass=mass,
         stiffness=stiffness,
         rayleigh=damping if isinstance(damping, Rayleigh) else UNDAMPED,
-        fixed_dofs=_clamped_dofs(mesh, space, clamp),
+        fixed_dofs=_fixed_dofs(mesh, space, dict.fromkeys(clamp, "xyz") | dict(hold)),
         loads=tuple(_assemble_load(mesh, space, load, density, thickness, dx) for load in loads),
         outputs={
             o.name: mean_over_boundary(space, outer_facets(mesh, "output", o.name, o.boundary), _unit(o))
@@ -272,6 +286,15 @@ def _check_vectors(dimension: int, loads: Sequence[LoadSpec], outputs: Sequence[
     for what, vector in vectors.items():
         if len(vector) != dimension:
             raise SceneError(f"{what} = {list(vector)}: the mesh is {dimension}-D; give {dimension} components")
+
+
+def _check_axes(dimension: int, hold: Mapping[str, str]) -> None:
+    known = "xyz"[:dimension]
+    for name, axes in hold.items():
+        if not axes or set(axes) - set(known):
+            raise SceneError(
+                f'supports.hold.{name} = "{axes}": the mesh is {dimension}-D; give one or more of {", ".join(known)}'
+            )
 
 
 def body_nodes(structure: Structure, body: str) -> np.ndarray:
@@ -332,12 +355,14 @@ def _assemble_load(mesh: JointMesh, space, load: LoadSpec, density, thickness: f
     return Load(load.name, load.harmonic, cmath.exp(1j * load.phase), forces)
 
 
-def _clamped_dofs(mesh: JointMesh, space, clamp: Iterable[str]) -> np.ndarray:
-    nodes = [np.empty(0, dtype=np.int64)]
-    for name in clamp:
+def _fixed_dofs(mesh: JointMesh, space, held: Mapping[str, str]) -> np.ndarray:
+    """Those of boundaries that are held along some axes each, of this rank, sorted."""
+    dofs = [np.empty(0, dtype=np.int64)]
+    for name, axes in held.items():
         found = dolfinx.fem.locate_dofs_topological(space, mesh.dimension - 1, boundary_facets(mesh, name))
-        nodes.append(local_to_global(space, found[found < space.dofmap.index_map.size_local]))
-    return list_dofs(np.unique(np.concatenate(nodes)), mesh.dimension).ravel()
+        nodes = local_to_global(space, found[found < space.dofmap.index_map.size_local])
+        dofs.append(list_dofs(nodes, mesh.dimension)[:, [axis in axes for axis in "xyz"[: mesh.dimension]]].ravel())
+    return np.unique(np.concatenate(dofs))
 
 
 def _unit(output: OutputSpec) -> np.ndarray:

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity, facing
+from ewr_fenicsx.structure.pair_frames import measure_turn, turn_along_supports, turn_tangents
 
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
@@ -100,7 +101,8 @@ def pair_interface(
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
             tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
-            that has both bodies on the same side, or nodes that carry no force under an even pressure.
+            that has both bodies on the same side, nodes that carry no force under an even pressure, or a pair whose
+            nodes are both held across the flank.
     """
     mesh = structure.mesh
     for body in (body_a, body_b):
@@ -137,14 +139,18 @@ def pair_interface(
         _check_opposed(name, a, b, body_a, body_b)
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
-    _check_flanks_apart(names, flank_of_pair, np.concatenate([a.position for a, _ in paired]), nodes_a, nodes_b)
-    normal = np.concatenate([a.normal for a, _ in paired])
-    tangents, size = _turn_tangents(normal), structure.mass.getSize()[0]
+    position = np.concatenate([a.position for a, _ in paired])
+    _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b)
+    held = [np.isin(boundaries.list_dofs(nodes, mesh.dimension), structure.fixed) for nodes in (nodes_a, nodes_b)]
+    still, normal = np.all(held, axis=0), np.concatenate([a.normal for a, _ in paired])
+    _check_free_to_part(names, flank_of_pair, position, normal, still)
+    normal, tangents = turn_along_supports(normal, still)
+    size = structure.mass.getSize()[0]
     each = np.repeat(np.arange(len(normal)), tangents.shape[1])
     return Interface(
         names,
         flank_of_pair,
-        np.concatenate([a.position for a, _ in paired]),
+        position,
         normal,
         tangents,
         np.concatenate([a.area for a, _ in paired]),
@@ -153,15 +159,6 @@ def pair_interface(
         _relative_motion(nodes_b, nodes_a, normal, size),
         _relative_motion(nodes_a[each], nodes_b[each], np.concatenate(tangents), size),
     )
-
-
-def _turn_tangents(normal: np.ndarray) -> np.ndarray:
-    """Tangents ``(K_c, d - 1, d)`` of unit normals ``(K_c, d)``, as ``Interface`` has them."""
-    if normal.shape[1] == 2:
-        return np.stack([-normal[:, 1], normal[:, 0]], axis=1)[:, None]
-    first = np.cross(np.where(np.abs(normal[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]), normal)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(normal, first)], axis=1)
 
 
 def _say_outlines(dimension: int) -> str:
@@ -226,7 +223,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     size = boundaries.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]
     normal = boundaries.integrate_over_boundary(space, mine).array.reshape(-1, d)
     products = [boundaries.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
-    turn = _measure_turn(size, normal, np.stack(products, axis=1))
+    turn = measure_turn(size, normal, np.stack(products, axis=1))
     local = dolfinx.fem.locate_dofs_topological(space, d - 1, mine)
     local = np.unique(local[local < space.dofmap.index_map.size_local])
     columns = (
@@ -239,27 +236,6 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
     size = np.linalg.norm(normal, axis=1, keepdims=True)
     return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
-
-
-def _measure_turn(size: np.ndarray, normal: np.ndarray, products: np.ndarray) -> np.ndarray:
-    """Angle between the normals of the edges or faces that meet at each node, however large each is, ``(n,)`` [degree].
-
-    Args:
-        size: ``integral N ds``, ``(n,)`` [m, of solids m^2].
-        normal: ``integral N n ds``, ``(n, d)``.
-        products: ``integral N n n^T ds``, ``(n, d, d)``.
-
-    With shares ``w_i`` of normals at angles ``t_ij``, their mean is shorter than one: ``1 - |mean|^2`` is the sum of
-    ``2 w_i w_j (1 - cos t_ij)`` over all pairs of them, and ``1 - |P|^2`` of the mean P of ``n n^T``, which has the
-    trace one, that of ``2 w_i w_j sin^2 t_ij``. So their quotient is one and the cosine; of more than two normals, a
-    mean cosine in which sharp pairs count most.
-    """
-    share = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    missing = 1 - ((normal * share[:, None]) ** 2).sum(axis=1)
-    spread = 1 - ((products * share[:, None, None]) ** 2).sum(axis=(1, 2))
-    bent = (missing > 0.01) & (size > 0)  # less: straight to rounding, or curved inside an edge
-    cosine = np.divide(spread, missing, out=np.full_like(size, 2.0), where=bent) - 1
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
@@ -321,6 +297,19 @@ def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> N
         )
 
 
+def _check_free_to_part(names, flank_of_pair, position, normal, still) -> None:
+    """Refuses pairs both nodes of which are held across their flank."""
+    across = np.linalg.norm(np.where(still, normal, 0.0), axis=1)
+    k = int(np.argmax(across))
+    if across[k] > np.sin(np.radians(SHARPEST / 2)):
+        axes = [axis for axis, is_still in zip("xyz", still[k], strict=False) if is_still]
+        raise InterfaceError(
+            f'flank "{names[flank_of_pair[k]]}": both nodes at {tell_place(position[k])} are held along '
+            f"{' and '.join(axes)} and cannot part; take the flank out of the boundary that is held, or end it short "
+            "of that"
+        )
+
+
 def tell_place(position: np.ndarray) -> str:
     """A place for messages."""
     return f"({', '.join(f'{x:.6g}' for x in np.round(position, 12) + 0.0)}) m"  # without the minus of -0
@@ -348,7 +337,7 @@ def _follow_rows(side: _Side) -> np.ndarray:
     mean = side.normal.mean(axis=0)
     size = np.linalg.norm(mean)
     mean = mean / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])  # a closed surface, or opposite faces
-    first, second = _turn_tangents(mean[None])[0] @ side.position.T
+    first, second = turn_tangents(mean[None])[0] @ side.position.T
     return np.lexsort(np.round([first, second] / np.ptp(side.position, axis=0).max(), 9))
 
 

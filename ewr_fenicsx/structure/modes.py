@@ -14,8 +14,9 @@ from slepc4py import SLEPc
 
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.structure.boundaries import list_dofs
-from ewr_fenicsx.structure.elasticity import Structure, body_nodes, connect
+from ewr_fenicsx.structure.elasticity import Structure, connect
 from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.rigid_motions import find_free_motions
 
 LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger
 
@@ -123,9 +124,9 @@ def solve_modes(
 
 
 def full_stick_modes(structure: Structure, interface: Interface, count: int) -> Modes:
-    """Modes of the whole joint with every pair bonded, the clamped boundary held; vectors on all degrees of freedom.
+    """Modes of the whole joint with every pair bonded, between its supports; vectors on all degrees of freedom.
 
-    The rigid-body modes of what nothing clamps, not even through the joint, come first.
+    The rigid-body modes of what supports leave free, even through the joint, come first.
 
     Raises:
         ModesError: As ``solve_modes``.
@@ -133,10 +134,10 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
     tie = tie_pairs(structure, interface)
     stiffness, mass = structure.stiffness.ptap(tie), structure.mass.ptap(tie)
     part = structure.part
-    bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)
-    clamped = np.isin(bonded, bonded[part[structure.clamped // structure.mesh.dimension]]).all()
+    bonded = connect(part[interface.nodes_a], part[interface.nodes_b], part.max() + 1)[part]
+    floats = any(find_free_motions(structure, bonded == group).size for group in np.unique(bonded))
     # far below the mean eigenvalue, which is near the highest, yet far enough from zero to factorise
-    shift = 0.0 if clamped else -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum()
+    shift = -1e-6 * stiffness.getDiagonal().sum() / mass.getDiagonal().sum() if floats else 0.0
     modes = solve_modes(stiffness, mass, count, shift=shift)
     vectors = []
     for reduced in modes.vectors:
@@ -147,13 +148,13 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
 
 
 def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
-    """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and the clamped boundary does not move."""
+    """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and what is held does not move."""
     comm = structure.mass.comm.tompi4py()
     first, last = structure.mass.getOwnershipRange()
     sides = interface.nodes_b, interface.nodes_a
     follower, leader = (list_dofs(nodes, structure.mesh.dimension).ravel() for nodes in sides)
-    # a pair with one clamped node is clamped
-    held = np.union1d(structure.clamped, leader[np.isin(follower, structure.clamped)])
+    # a pair with one held node is held
+    held = np.union1d(structure.fixed, leader[np.isin(follower, structure.fixed)])
     kept = np.setdiff1d(np.arange(first, last), np.concatenate([held, follower]))
     start = comm.exscan(len(kept)) or 0
     columns = np.concatenate(comm.allgather(kept))  # rising
@@ -165,25 +166,6 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
             tie.setValue(row, np.searchsorted(columns, to), 1.0)
     tie.assemble()
     return tie
-
-
-def find_floating_parts(structure: Structure, interface: Interface) -> np.ndarray:
-    """Numbers of the parts that contact alone holds, rising; collective.
-
-    Raises:
-        ModesError: A part is neither clamped nor in contact; names its bodies.
-    """
-    comm, part = structure.mass.comm.tompi4py(), structure.part
-    clamped = part[structure.clamped // structure.mesh.dimension]
-    touching = part[np.concatenate([interface.nodes_a, interface.nodes_b])]
-    loose = np.setdiff1d(part, np.concatenate([clamped, touching]))
-    nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}
-    if names := [f'"{body}"' for body, of_body in nodes.items() if np.isin(part[of_body], loose).any()]:
-        raise ModesError(
-            f"nothing holds {' and '.join(names)}, or a piece of it: no node of it is clamped or in contact; clamp it, "
-            "let it share nodes with what is held, or leave it out"
-        )
-    return np.setdiff1d(touching, clamped)
 
 
 def use_mumps(solver: PETSc.KSP) -> None:

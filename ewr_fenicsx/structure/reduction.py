@@ -28,9 +28,10 @@ from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.columns import blocks, factorise, multiply, stack_columns
 from ewr_fenicsx.structure.elasticity import Structure
-from ewr_fenicsx.structure.interface import Interface, tell_place
-from ewr_fenicsx.structure.modes import Modes, find_floating_parts, full_stick_modes, solve_modes
+from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.modes import Modes, full_stick_modes, solve_modes
 from ewr_fenicsx.structure.orientation import group_equal, orient_modes
+from ewr_fenicsx.structure.rigid_motions import find_rigid_motions
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
 _FULL_STICK_MODES = 6  # kept for pictures and reports
@@ -42,8 +43,8 @@ class CraigBampton:
 
     Attributes:
         model: For the contact solver; the same on every rank.
-        basis: This rank's rows of the basis, ``(owned dofs, n)``, column after column; clamped rows are zero. By far
-            the largest array of all.
+        basis: This rank's rows of the basis, ``(owned dofs, n)``, column after column; rows that are held are zero. By
+            far the largest array of all.
         interface: The pairs.
         fixed_interface_frequencies: ``(m,)`` [Hz].
         full_stick: Lowest modes of the bonded joint, from the sparse matrices.
@@ -68,7 +69,7 @@ class CraigBampton:
     @property
     def most_modes(self) -> int:
         """How many fixed-interface modes there are."""
-        return self.structure.mass.getSize()[0] - len(self.structure.clamped) - len(self.contact_dofs)
+        return self.structure.mass.getSize()[0] - len(self.structure.fixed) - len(self.contact_dofs)
 
     @property
     def full_stick_ratio(self) -> float:
@@ -106,14 +107,14 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
             1e-4 of the full model's up to five times its first full-stick frequency.
 
     Raises:
-        InterfaceError: A pair with both nodes clamped; so many pairs that the machine has not the memory.
+        InterfaceError: So many pairs that the machine has not the memory.
         ModesError: Modes that did not converge; a part of the mesh that nothing holds; a rigid motion of a body that is
             not free of elastic forces.
     """
-    find_floating_parts(structure, interface)  # before a singular matrix is factorised
     comm = structure.mass.comm.tompi4py()
     first = structure.mass.getOwnershipRange()[0]
-    contact = _contact_dofs(interface, structure.clamped)
+    contact = _contact_dofs(interface, structure.fixed)
+    find_rigid_motions(structure, interface, contact)  # refuses what floats, before a singular matrix is factorised
     columns = len(contact) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
     _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), columns, len(interface.area))
     interior = _cut_interior(structure, contact)
@@ -173,7 +174,7 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
 
 @dataclass(frozen=True)
 class _Interior:
-    """What is neither clamped nor in contact: this rank's rows, those of its contact dofs, and sparse matrices."""
+    """What is neither held nor in contact: this rank's rows, those of its contact dofs, and sparse matrices."""
 
     dofs: np.ndarray
     rows: PETSc.IS  # the same, as PETSc takes them
@@ -246,14 +247,7 @@ def _compose_basis(
 def _contact_dofs(interface: Interface, fixed: np.ndarray) -> np.ndarray:
     """Free degrees of freedom of the pairs, pair by pair: all components of A's node, all of B's."""
     dofs = np.hstack([list_dofs(nodes, interface.dimension) for nodes in (interface.nodes_a, interface.nodes_b)])
-    held = np.isin(dofs, fixed)
-    if held.all(axis=1).any():
-        k = int(np.argmax(held.all(axis=1)))
-        raise InterfaceError(
-            f'flank "{interface.flanks[interface.flank_of_pair[k]]}": both nodes at '
-            f"{tell_place(interface.position[k])} are clamped; take the flank out of the clamped boundary"
-        )
-    return dofs[~held]
+    return dofs[~np.isin(dofs, fixed)]
 
 
 def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat) -> np.ndarray:
@@ -352,23 +346,9 @@ def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, float
 def _rigid_motions(
     structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
 ) -> np.ndarray:
-    """Translations and rotations of each part that only contact holds, ``(n, r)``, columns of size 1."""
-    nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
-    position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
-    d = interface.dimension
-    place = np.array([position[int(dof) // d] for dof in contact])
-    along = (contact % d)[:, None] == np.arange(d)  # which component each of them is
-    motions = []
-    for number in find_floating_parts(structure, interface):
-        mine = structure.part[contact // d] == number
-        offset = place - place[mine].mean(axis=0)
-        offset /= np.abs(offset[mine]).max()
-        turns = [
-            offset[:, i] * along[:, j] - offset[:, j] * along[:, i] for i, j in itertools.combinations(range(d), 2)
-        ]
-        for motion in (*along.T, *turns):
-            motions.append(np.concatenate([np.where(mine, motion, 0.0), np.zeros(count - len(contact))]))
-    rigid = np.array(motions).reshape(-1, count).T
+    """``find_rigid_motions`` in the coordinates of the model, ``(n, r)``."""
+    rigid = find_rigid_motions(structure, interface, contact)
+    rigid = np.vstack([rigid, np.zeros((count - len(contact), rigid.shape[1]))])
     force = np.abs(stiffness @ rigid).max(axis=0, initial=0) / np.abs(stiffness).max()
     if (force > 1e-9).any():
         raise ModesError(

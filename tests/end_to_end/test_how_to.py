@@ -188,12 +188,32 @@ def test_a_transient_overshoots_and_settles_where_the_harmonic_solution_is(capsy
     assert re.match(told, capsys.readouterr().out)
 
 
-def test_the_scene_of_solids_is_solved(tmp_path):
-    (text,) = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+SOLIDS, HALF = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+
+
+def solve_solids(text: str, folder: Path):
     assert 'source = "geometry/extruded.py"' in text
-    path = tmp_path / "solids.toml"
+    path = folder / "solids.toml"
     path.write_text(text.replace("geometry/extruded.py", str(ROOT / "geometry" / "extruded.py")), encoding="utf-8")
     scene = load_scene(path)
     chain = build_chain(scene)
-    solution = solve(pose_problem(scene, chain.reduction.model, chain.interface))
-    assert solution.converged and chain.reduction.model.pairs == 30 and chain.reduction.model.tangents == 2
+    return solve(pose_problem(scene, chain.reduction.model, chain.interface))
+
+
+def test_the_scene_of_solids_is_solved(tmp_path):
+    solution = solve_solids(SOLIDS, tmp_path)
+    assert solution.converged and solution.problem.model.pairs == 30 and solution.problem.model.tangents == 2
+
+
+def test_half_of_a_dovetail_moves_as_the_whole_with_half_of_the_unknowns(tmp_path):
+    half = solve_solids(HALF, tmp_path)
+    text = HALF
+    for once, twice in (("10e-3", "20e-3"), ("layers = 3", "layers = 6"), ("4000", "8000"), ("75", "150")):
+        text = text.replace(once, twice)
+    whole = solve_solids(text[: text.index("[supports")] + text[text.index("[loads.pull") :], tmp_path)
+    assert half.converged and whole.converged
+    assert half.problem.model.pairs == 40 and whole.problem.model.pairs == 70
+    assert half.unknowns < 0.55 * whole.unknowns
+    assert half.output("tip")[1] == pytest.approx(whole.output("tip")[1], rel=2e-3)
+    assert half.merit["friction_dissipation"] == pytest.approx(whole.merit["friction_dissipation"] / 2, rel=0.05)
+    assert half.merit["largest_normal_force"] == pytest.approx(whole.merit["largest_normal_force"], rel=0.05)

@@ -17,7 +17,7 @@ def build(*, stacks: int = 1, base: str = "base", clamped: int = 1, loose: bool 
         stacks: How many.
         base: Name of the lowest blocks' body; "disk": the body on them goes down to the ground.
         clamped: How many of the stacks' bases are in the group "clamp".
-        loose: Whether a block of the body "disk" lies beside the stacks.
+        loose: Whether a block of the body "disk" lies beside the stacks, on the boundary "rest".
     """
     geo = gmsh.model.geo
     groups: dict[tuple[int, str], list[int]] = {}
@@ -47,7 +47,8 @@ def build(*, stacks: int = 1, base: str = "base", clamped: int = 1, loose: bool 
         if k < clamped:
             groups.setdefault((1, "clamp"), []).append(lowest[0])
     if loose:
-        block("disk", [*level(-2 * WIDTH, 0.0), *level(-2 * WIDTH, 0.02)[::-1]])
+        beside = block("disk", [*level(-2 * WIDTH, 0.0), *level(-2 * WIDTH, 0.02)[::-1]])
+        groups[1, "rest"] = [beside[0]]
     geo.synchronize()
     for (dimension, name), members in groups.items():
         gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)

@@ -107,7 +107,7 @@ def test_clamp_lists_both_directions_of_its_nodes(mesh):
     dofs = structure.fixed_dofs
     assert len(dofs) == 2 * 13
     np.testing.assert_allclose(coordinates(structure)[dofs // 2, 1], 0, atol=1e-12)
-    np.testing.assert_array_equal(structure.clamped, dofs)  # of the only rank
+    np.testing.assert_array_equal(structure.fixed, dofs)  # of the only rank
     assert assemble_structure(mesh, materials=BOTH, clamp=()).fixed_dofs.size == 0
 
 

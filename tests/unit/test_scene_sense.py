@@ -188,6 +188,19 @@ def test_a_static_scene_needs_no_frequency(read):
             'outputs.base.boundary = "clamp": supports.clamp holds it, so that it never moves; name a boundary that is',
         ),
         (
+            SCENE + "[supports.hold]\nclamp = 'x'",
+            'supports.hold.clamp = "x": supports.clamp holds it in all directions; give one',
+        ),
+        (
+            SCENE + "[supports.hold]\ntip = 'x'",
+            'loads.shake.boundary = "tip": supports.hold holds it along x, so that the force does nothing; name a',
+        ),
+        (
+            SCENE + "[supports.hold]\nside = 'xz'\n[outputs.side]\nboundary = 'side'\ndirection = [1, 0, 1]",
+            'outputs.side.boundary = "side": supports.hold holds it along x and z, so that it never moves; name a',
+        ),
+        (SCENE + "[supports.hold]\nside = 'w'", "supports.hold.side = 'w': should be 'x', 'y', 'z', 'xy', 'xz' or 'y"),
+        (
             HEAD + SHAKE + "[excitation]\nfrequency = 900.0\n[solver]\nharmonics = [1, 2, 3]",
             'solver.harmonics = [1, 2, 3] leave out harmonic 0, and contact.normal = "unilateral" may part: a normal',
         ),

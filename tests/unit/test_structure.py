@@ -43,8 +43,8 @@ ORDER = {
         "effects",
     ],
     "structure": [
-        "_compat", "gmsh_inspection", "mesh", "materials", "facing", "boundaries", "elasticity", "interface", "modes",
-        "columns", "orientation", "reduction", "chain",
+        "_compat", "gmsh_inspection", "mesh", "materials", "facing", "boundaries", "elasticity", "pair_frames",
+        "interface", "rigid_motions", "modes", "columns", "orientation", "reduction", "chain",
     ],
     "output": [
         "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",

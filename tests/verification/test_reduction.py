@@ -336,7 +336,7 @@ def test_too_many_modes_and_clamped_pairs_are_refused():
         with pytest.raises(ModesError, match=f"{modes} modes asked for; the matrices have .* degrees of freedom"):
             reduce_structure(structure, interface, modes=modes)
     structure, interface = assemble(TWO_BLOCKS, clamp=("clamp", "joint"))
-    with pytest.raises(InterfaceError, match=r'flank "joint": both nodes at .* are clamped'):
+    with pytest.raises(InterfaceError, match=r'flank "joint": both nodes at .* are held along x and y and cannot part'):
         reduce_structure(structure, interface, modes=3)
 
 
