@@ -15,12 +15,12 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.gathering import gather_cells
-from ewr_fenicsx.output.mesh_plots import BODY_COLOURS, draw_mesh
+from ewr_fenicsx.output.mesh_plots import AT_REST, BODY_COLOURS, choose_body_colours, draw_mesh
 from ewr_fenicsx.output.plots import FLANK_COLOURS, INK
+from ewr_fenicsx.output.solid_plots import draw_lines, fill_bodies, stand
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.scene.effects import list_effects
 from ewr_fenicsx.solution.contact_state import classify_contact
@@ -57,20 +57,13 @@ def find_largest_motion(chain, solution, with_mean=False):
 
 def draw_solid_motion(axes, chain, solution):
     """As ``draw_motion``, of solids that touch at rest: outer faces from above and aside, pairs seen through them."""
-    stand = lambda places: 1e3 * np.roll(places, 1, axis=-1)  # noqa: E731  mplot3d's third axis is upright
     moved, cells, stretch = find_largest_motion(chain, solution)
     corners, interface = cells.corners + stretch * cells.values, chain.interface
-    for k, body in enumerate(np.unique(cells.body)):
-        style = {"facecolors": BODY_COLOURS[k % len(BODY_COLOURS)], "edgecolors": "#bbbbbb", "linewidths": 0.2}
-        axes.add_collection3d(Poly3DCollection(stand(corners[cells.body == body]), alpha=0.7, zorder=1, **style))
-    for outline, style in (
-        (cells.outline(), {"colors": "#999999", "linewidths": 0.6, "linestyles": "--"}),
-        (cells.outline(stretch), {"colors": INK, "linewidths": 0.8}),
-    ):
-        axes.add_collection3d(Line3DCollection(stand(outline), zorder=2, **style))
-    places = stand(interface.position + stretch * moved[interface.nodes_a]).T
+    draw_lines(axes, cells.outline(), colors=AT_REST, linewidths=0.6, linestyles="--", zorder=2)
+    fill_bodies(axes, replace(cells, corners=corners), choose_body_colours(cells), opacity=0.7)
+    places = 1e3 * stand(interface.position + stretch * moved[interface.nodes_a]).T
     axes.plot(*places, ".", color=FLANK_COLOURS[0], markersize=2.5, zorder=3, label="nodes of the contact pairs")
-    low, high = (stand(limit(corners.reshape(-1, 3), axis=0)) for limit in (np.min, np.max))
+    low, high = (1e3 * stand(limit(corners.reshape(-1, 3), axis=0)) for limit in (np.min, np.max))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=1.05)
     axes.view_init(30, 28)

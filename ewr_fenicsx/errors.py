@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
+FEW = 5  # values that are listed one by one
+
 
 class EwrError(Exception):
     """Base of all errors that a user can mend."""
@@ -95,3 +97,10 @@ def name_pairs(pairs: Sequence[float]) -> str:
     """Pairs by their numbers, the first three of them: ``"pairs 0, 1, 2 and 5 more"``."""
     few, more = ", ".join(f"{pair:g}" for pair in pairs[:3]), len(pairs) - 3
     return f"pair{'s' * (len(pairs) > 1)} {few}" + (f" and {more} more" if more > 0 else "")
+
+
+def list_few(values: Sequence[float], what: str) -> str:
+    """Values in ascending order; of many, how many there are and between which."""
+    if len(values) > FEW:
+        return f"{len(values)} {what} from {min(values):g} to {max(values):g}"
+    return ", ".join(f"{value:g}" for value in sorted(values))

@@ -56,10 +56,10 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     scene, interface = chain.scene, chain.interface
     figure, colours, arrows = Figure(), choose_body_colours(cells), place_arrows(scene, edge, cells)
     whole, joint = _add_axes(figure), _add_axes(figure)
-    upright = replace(interface, position=_stand(interface.position))
+    upright = replace(interface, position=stand(interface.position))
     _set_box(whole, cells.corners, *(arrow.reach for arrow in arrows.values()))
-    _fill_bodies(whole, cells, colours, opacity=0.6)
-    mark_held(whole, scene, {name: _stand(nodes) for name, nodes in edge.items()}, size=2)
+    fill_bodies(whole, cells, colours, opacity=0.6)
+    mark_held(whole, scene, {name: stand(nodes) for name, nodes in edge.items()}, size=2)
     mark_pairs(whole, upright, size=1.5)
     draw_loads(whole, scene, arrows, lambda places: _project(whole, places))
 
@@ -69,9 +69,9 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     is_near = lambda places: np.all((low < places) & (places < high), axis=(1, 2))  # noqa: E731
     normals = np.stack([interface.position, interface.position + NORMALS * extent * interface.normal], axis=1)
     _set_box(joint, body.corners[is_near(body.corners)], normals)
-    _fill_bodies(joint, body, colours, opacity=0.35, is_shown=is_near)
+    fill_bodies(joint, body, colours, opacity=0.35, is_shown=is_near)
     mark_pairs(joint, upright, size=4, labelled=True)
-    _draw_lines(joint, normals, colors=INK, linewidths=0.9, zorder=5)
+    draw_lines(joint, normals, colors=INK, linewidths=0.9, zorder=5)
 
     caption_mesh(figure, whole, joint, chain)
     _lay_out(figure, {whole: 3.0, joint: 5.5}, columns=(1, 3))
@@ -87,7 +87,7 @@ def draw_mode(path: Path, chain: Chain) -> None:
     figure, colours = Figure(), ScalarMappable(Normalize(0.0, 1.0), SIZES)
     axes = _add_axes(figure)
     _set_box(axes, cells.corners, moved)
-    _draw_lines(axes, cells.outline(), colors=AT_REST, linewidths=0.8, linestyles="--", zorder=0.5)
+    draw_lines(axes, cells.outline(), colors=AT_REST, linewidths=0.8, linestyles="--", zorder=0.5)
     _draw_faces(axes, moved, facecolors=colours.to_rgba(size.mean(axis=1) / size.max()))
     _lay_out(figure, {axes: 3.5}, columns=(1,))
     caption_mode(figure, colours, chain, cax=figure.add_axes((0.85, 0.2, 0.03, 0.6)))
@@ -102,23 +102,23 @@ def _add_axes(figure: Figure) -> Axes3D:
     return axes
 
 
-def _stand(vectors: RealArray) -> RealArray:
+def stand(vectors: RealArray) -> RealArray:
     """The components z, x, y of vectors ``(..., 3)``: mplot3d's third axis is upright."""
     return np.roll(vectors, 1, axis=-1)
 
 
 def _project(axes: Axes3D, places: RealArray) -> RealArray:
     """Where places ``(n, 3)`` [mm] are in the picture's plane, once the box of the axes is set."""
-    return np.transpose(proj3d.proj_transform(*_stand(places).T, axes.get_proj())[:2])
+    return np.transpose(proj3d.proj_transform(*stand(places).T, axes.get_proj())[:2])
 
 
 def _set_box(axes: Axes3D, *places: RealArray) -> None:
     """Limits around places ``(..., 3)`` [m], and numbers along them, with mm of one length in all directions."""
     every = 1e3 * np.concatenate([some.reshape(-1, 3) for some in places])
     low, high = every.min(axis=0), every.max(axis=0)
-    axes.set(**dict(zip(("xlim", "ylim", "zlim"), _stand(np.array([low, high])).T, strict=True)))
-    axes.set_box_aspect(_stand(high - low))
-    axes.set_box_aspect(_stand(high - low), zoom=FILLED / np.ptp(_measure_box(axes), axis=0).max())
+    axes.set(**dict(zip(("xlim", "ylim", "zlim"), stand(np.array([low, high])).T, strict=True)))
+    axes.set_box_aspect(stand(high - low))
+    axes.set_box_aspect(stand(high - low), zoom=FILLED / np.ptp(_measure_box(axes), axis=0).max())
     _draw_rulers(axes, low, high)
 
 
@@ -141,8 +141,8 @@ def _draw_rulers(axes: Axes3D, low: RealArray, high: RealArray) -> None:
         values = [value for value in ticker.tick_values(low[k], high[k]) if low[k] <= value <= high[k]]
         points = np.tile(runs[0, k], (len(values), 1))
         points[:, k] = values
-        axes.plot(*_stand(runs[:, k]).T, color=INK, linewidth=0.6)
-        axes.plot(*_stand(points).T, ".", color=INK, markersize=3)
+        axes.plot(*stand(runs[:, k]).T, color=INK, linewidth=0.6)
+        axes.plot(*stand(points).T, ".", color=INK, markersize=3)
         along, middle = (ends - starts)[k] / lengths[k], (starts + ends)[k] / 2
         outwards = np.array([along[1], -along[0]])
         outwards *= np.sign(outwards @ (middle - centre))
@@ -156,15 +156,16 @@ def _draw_rulers(axes: Axes3D, low: RealArray, high: RealArray) -> None:
 
 def _draw_faces(axes: Axes3D, corners: RealArray, **style: object) -> None:
     axes.add_collection3d(
-        Poly3DCollection(1e3 * _stand(corners), edgecolors=MESH_LINES, linewidths=0.25, zorder=1, **style)
+        Poly3DCollection(1e3 * stand(corners), edgecolors=MESH_LINES, linewidths=0.25, zorder=1, **style)
     )
 
 
-def _draw_lines(axes: Axes3D, lines: RealArray, **style: object) -> None:
-    axes.add_collection3d(Line3DCollection(1e3 * _stand(lines), **style))
+def draw_lines(axes: Axes3D, lines: RealArray, **style: object) -> None:
+    """Lines between places ``(n, 2, 3)`` [m]."""
+    axes.add_collection3d(Line3DCollection(1e3 * stand(lines), **style))
 
 
-def _fill_bodies(
+def fill_bodies(
     axes: Axes3D,
     cells: Cells,
     colours: Mapping[int, str],
@@ -185,7 +186,7 @@ def _fill_bodies(
     faces = np.column_stack([own * lit[:, None], np.full(len(own), opacity)])
     shown, outline = is_shown(cells.corners), cells.outline()
     _draw_faces(axes, cells.corners[shown], facecolors=faces[shown])
-    _draw_lines(axes, outline[is_shown(outline)], colors=INK, linewidths=0.7, zorder=2)
+    draw_lines(axes, outline[is_shown(outline)], colors=INK, linewidths=0.7, zorder=2)
 
 
 def _lay_out(figure: Figure, panels: Mapping[Axes3D, float], columns: Sequence[int]) -> None:

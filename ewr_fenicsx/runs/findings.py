@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ewr_fenicsx.errors import list_few
 from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.solution.contact_state import sample_along_tangents
 from ewr_fenicsx.solution.symmetry import find_idle_harmonics
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ewr_fenicsx.wear.wear import WearHistory
 
 ROUND = 256  # samples of a period, looked through for the largest motion
-FEW = 5  # frequencies or cycles that are told one by one
 
 
 def word_remedy(found: AccurateSolution) -> AccurateSolution:
@@ -149,13 +148,6 @@ def _tell_accuracy(curve: FrequencyResponse) -> list[str]:
     return lines
 
 
-def list_few(values: Sequence[float], what: str) -> str:
-    """Values in ascending order; of many, how many there are and between which."""
-    if len(values) > FEW:
-        return f"{len(values)} {what} from {min(values):g} to {max(values):g}"
-    return ", ".join(f"{value:g}" for value in sorted(values))
-
-
 def count_default_weights(curve: FrequencyResponse, problem: ContactProblem) -> int:
     """How many solutions of a curve have default weights and dashpots in place of what the problem asks for."""
     return 0 if went_back(problem) else sum(went_back(s.problem) for s in curve.solutions)
@@ -188,27 +180,14 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
         through: Thickness of the thinnest body [m].
         modes: Modes that the reduced model keeps.
     """
-    lines = [
-        f"{history.cycles[-1]} cycles in {history.solves} solves: deepest {1e6 * history.depth[-1].max():.3g} µm, "
-        f"volume {1e9 * history.total_volume[-1]:.3g} mm^3"
-    ]
+    lines = history.list_outcome()
     if history.accuracy is not None:
         tops, worst = [s.orders[-1] for s in history.solutions], np.nanmax(history.estimates)
-        lines.append(
+        told = (
             f"  estimated errors up to {worst:.1g} of {history.accuracy:g} asked, highest harmonics "
             f"{min(tops)} to {max(tops)}, {modes} modes"
         )
-        told = f"  NOT as accurate as asked at {list_few(history.short, 'steps')} cycles"
-        lines += [told] if history.short.size else []
-    if history.rough:
-        lines.append(
-            f"  NOT within the tolerance: each of {history.rough} cycles wore more than contact can follow, and their "
-            "depth is rough; lower wear.coefficient"
-        )
-    lines += [f"  stopped {history.stopped}"] if history.stopped else []
-    if not np.any(history.rate[-1]):
-        began = history.cycles[np.flatnonzero(~np.any(history.rate, axis=1))[0]]
-        lines.append(f"  nothing wears from cycle {began} on: no pair that may wear slides while it is pressed")
+        lines.insert(1, told)
     if history.depth[-1].max() > through:
         lines.append(f"  NOT a result: a body is only {through:.3g} m thick; see wear.coefficient, loads and units")
     return lines + [f"  the first solve: {line}" for line in history.solutions[0].list_reservations()]

@@ -20,7 +20,6 @@ from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.initial_states import choose_start
 
 _RINGS = "; contact nodes with little mass may ring from step to step: theta = 0.52 damps that"
-UNASKED = "not asked whether steady (tolerance = 0)"
 UNDAMPED = 0.5  # theta that conserves the structure's energy
 HISTORIES = ("normal_force", "friction_force", "gap", "slip", "slip_velocity")
 SECOND_HISTORIES = tuple(SECOND + name for name in ("friction_force", "slip", "slip_velocity"))
@@ -36,6 +35,7 @@ class SteadyState:
         last: The last period in the scheme's modal coordinates.
         converged: Whether the motion repeats from period to period and every step of the last period was solved; False
             with a tolerance of 0, where nobody asked.
+        asked: Whether somebody did.
         reason: Why the integration stopped.
         periods: Periods stepped.
         changes: ``(periods,)`` relative change from each period to the next; the first is infinite.
@@ -51,6 +51,7 @@ class SteadyState:
     scheme: TimeScheme = field(repr=False)
     last: Period = field(repr=False)
     converged: bool
+    asked: bool
     reason: str
     periods: int
     changes: RealArray = field(repr=False)
@@ -72,8 +73,7 @@ class SteadyState:
 
     def summary(self) -> str:
         """One line for people."""
-        state = "steady" if self.converged else f"NOT steady ({self.reason})"
-        state = self.reason if self.reason.startswith(UNASKED) else state
+        state = "steady" if self.converged else f"NOT steady ({self.reason})" if self.asked else self.reason
         return (
             f"{self.problem.frequency:g} Hz, {self.scheme.steps} steps a period: {state} after {self.periods} periods, "
             f"change {self.changes[-1]:.1e}, distance left {self.distance:.1e}, {self.unsolved} steps unsolved, "
@@ -327,7 +327,7 @@ def integrate(
             follows = not acceleration or anderson.defect <= tolerance
             here = end if follows else ahead
         else:
-            reason = f"not steady after {periods} periods" if tolerance else UNASKED
+            reason = f"not steady after {periods} periods" if tolerance else "not asked whether steady (tolerance = 0)"
             if follows and last.unsolved and changes[-1] <= tolerance:
                 reason = f"it repeats itself after {periods} periods"
             elif walks_on(last, scheme):
@@ -345,6 +345,7 @@ def integrate(
         scheme=scheme,
         last=last,
         converged=reason == "steady",
+        asked=tolerance > 0,
         reason=reason,
         periods=len(changes),
         changes=np.array(changes),

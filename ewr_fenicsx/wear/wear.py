@@ -17,13 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from ewr_fenicsx.accuracy.accuracy import check_accuracy, solve_to_accuracy
-from ewr_fenicsx.errors import ModelError, nearest
+from ewr_fenicsx.accuracy.estimates import estimate_at_once
+from ewr_fenicsx.errors import EwrError, ModelError, list_few, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.response.solution_store import fingerprint, gather_figure, gather_output, list_orders
 from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear.wear_store import WearFile, WearStep
@@ -59,6 +61,40 @@ class WearHistory:
         told += f"; NOT within the tolerance at {self.rough} cycles" if self.rough else ""
         told += f"; NOT as accurate as asked at {len(self.short)} of the steps" if len(self.short) else ""
         return f"WearHistory({len(self.steps)} steps to cycle {self.cycles[-1]} in {self.solves} solves, {told})"
+
+    def summary(self) -> str:
+        """A few lines for people: how deep it wore, and how far off what the last cycle wears is thought to be."""
+        last, what = self.solutions[-1], "the outputs and the wear rate"
+        lines = self.list_outcome()
+        if self.accuracy is not None:
+            lines.append(f"  estimated errors up to {np.nanmax(self.estimates):.1g} of {self.accuracy:g} asked")
+        elif np.any(self.rate[-1]):
+            remedy = "evolve_wear(..., accuracy=0.01) takes as many harmonics as that needs"
+            try:
+                error = estimate_at_once(last, figure=lambda there: measure_wear_rate(there, self.coefficient))
+                lines.append(f"  in the end {error.tell(what, remedy)}")
+            except (EwrError, MemoryError) as unknown:  # the wear is there, and not to be lost for it
+                lines.append(f"  its error is not known: {str(unknown) or 'out of memory'}")
+        return "\n".join(lines + [f"  in the end {line}" for line in last.list_reservations()])
+
+    def list_outcome(self) -> list[str]:
+        """How deep it wore, and what is to be said against that: a line each, for people."""
+        lines = [
+            f"{self.cycles[-1]} cycles in {self.solves} solves: deepest {1e6 * self.depth[-1].max():.3g} µm, "
+            f"volume {1e9 * self.total_volume[-1]:.3g} mm^3"
+        ]
+        if self.short.size:
+            lines.append(f"  NOT as accurate as asked at {list_few(self.short, 'steps')} cycles")
+        if self.rough:
+            lines.append(
+                f"  NOT within the tolerance: each of {self.rough} cycles wore more than contact can follow, and their "
+                "depth is rough; lower the wear coefficient"
+            )
+        lines += [f"  stopped {self.stopped}"] if self.stopped else []
+        if not np.any(self.rate[-1]):
+            began = self.cycles[np.flatnonzero(~np.any(self.rate, axis=1))[0]]
+            lines.append(f"  nothing wears from cycle {began} on: no pair that may wear slides while it is pressed")
+        return lines
 
     @cached_property
     def cycles(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -78,6 +79,18 @@ def test_steps_that_fall_short_share_a_line(cycles, told):
     steps = (history.steps[0], *(replace(step, estimate=0.2) for step in history.steps[1:]))
     lines = tell_wear(replace(history, steps=steps, accuracy=0.1), 1.0, 5)
     assert f"  NOT as accurate as asked at {told} cycles" in lines
+
+
+def test_a_summary_tells_how_far_off_a_cycle_may_be():
+    """As the looked-for error shows with many harmonics; with an accuracy it is that of all steps."""
+    few, many = (evolve_wear(replace(pose(), harmonics=n), 2, WEAR) for n in (3, 31))
+    line = few.summary().splitlines()[1]
+    told = float(re.search(r"in the end .*estimated error of the outputs and the wear rate ([\d.]+)", line)[1])
+    off = np.linalg.norm(few.rate[-1] - many.rate[-1]) / np.linalg.norm(many.rate[-1])
+    assert off / 5 < told < 5 * off
+    assert few.summary().startswith("2 cycles in 3 solves: deepest ")
+    accurate = evolve_wear(pose(), 2, WEAR, accuracy=0.05)
+    assert f"  estimated errors up to {accurate.estimates.max():.1g} of 0.05 asked" in accurate.summary().splitlines()
 
 
 def test_the_mean_depth_is_the_volume_over_the_area():
