@@ -25,6 +25,7 @@ import numpy as np
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output import mesh_plots, plots, solid_plots
 from ewr_fenicsx.output.gathering import node_interpolation
+from ewr_fenicsx.output.pair_fields import spread_over_interface
 from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.solution.indicators import measure_sliding
@@ -171,34 +172,6 @@ def contact_fields(interface: Interface, solution: PeriodicSolution, samples: in
     if changes_state(solution):
         fields["contact_state"] = classify_contact(solution, samples).astype(float)
     return fields
-
-
-def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
-    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides."""
-    space, interface = chain.structure.space, chain.interface
-    component, parents = space.sub(0).collapse()
-    pairs = find_pairs(space, interface.nodes_a, interface.nodes_b)[np.asarray(parents) // space.dofmap.bs]
-    field = dolfinx.fem.Function(component)
-    to_nodes = node_interpolation(component)
-
-    def spread(values: RealArray) -> dolfinx.fem.Function:
-        field.x.array[:] = np.where(pairs >= 0, values[pairs], elsewhere)
-        return to_nodes(field)
-
-    return spread
-
-
-def find_pairs(space, *sides: np.ndarray) -> np.ndarray:
-    """Pair of every node that this rank holds, ghosts included, ``(nodes,)``; -1 where it is on none of the sides.
-
-    Args:
-        space: Displacement space.
-        sides: Global node numbers of the pairs on one body, ``(K_c,)``.
-    """
-    index_map = space.dofmap.index_map
-    local = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    pair_of_node = {int(node): k for nodes in sides for k, node in enumerate(nodes)}
-    return np.array([pair_of_node.get(int(node), -1) for node in index_map.local_to_global(local)])
 
 
 def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output.gathering import node_interpolation
-from ewr_fenicsx.output.output import find_pairs, spread_over_interface, write_series
+from ewr_fenicsx.output.output import write_series
+from ewr_fenicsx.output.pair_fields import find_pairs, spread_over_interface
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.wear.archard import SAMPLES
@@ -64,7 +65,7 @@ def write_wear_fields(folder: Path, chain: Chain, history: WearHistory) -> None:
 def recede_flanks(chain: Chain) -> Callable[[RealArray], dolfinx.fem.Function]:
     """Returns a function from depths ``(K_c,)`` to the displacement of body A's contact nodes by them, inwards."""
     space, interface = chain.structure.space, chain.interface
-    pairs = find_pairs(space, interface.nodes_a)
+    pairs = find_pairs(chain, interface.nodes_a)
     field = dolfinx.fem.Function(space)
     to_nodes = node_interpolation(space)
 

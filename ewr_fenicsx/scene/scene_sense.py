@@ -99,6 +99,15 @@ def doubt_lengths(scene: Scene, extent: float) -> Iterator[str]:
             )
 
 
+def doubt_tetrahedra(dimension: int, nodes_a_cell: int) -> Iterator[str]:
+    """What is probably not meant by solids of such cells, one sentence each."""
+    if (dimension, nodes_a_cell) == (3, 4):
+        yield (
+            "elasticity.degree = 1: tetrahedra of first order are far too stiff in bending; take elasticity.degree = "
+            "2, or hexahedra"
+        )
+
+
 def doubt_modes(scene: Scene, modes: int, highest: float) -> Iterator[str]:
     """What is probably not meant by loads above the highest mode that is kept [Hz], one sentence each."""
     if scene.solver.accuracy is not None or not (oscillating := oscillating_loads(scene)):

@@ -119,3 +119,21 @@ def find_tag(known: Mapping[str, int], name: str, kind: str) -> int:
             f'no {kind} named "{name}" in the mesh; there are {", ".join(known) or "none"}{nearest(name, known)}'
         )
     return known[name]
+
+
+def find_idle_corners(space) -> np.ndarray:
+    """Local numbers of nodes at corners whose shape functions have no integral over faces, ghosts included.
+
+    Those of tetrahedra of second order, all of them; other cells have none.
+    """
+    if not has_idle_corners(space):
+        return np.empty(0, dtype=np.int32)
+    layout, topology = space.dofmap.dof_layout, space.mesh.topology
+    cells = topology.index_map(topology.dim)
+    dofs = _compat.cell_dofs(space, np.arange(cells.size_local + cells.num_ghosts))
+    return np.unique(dofs.reshape(-1, layout.num_dofs)[:, [layout.entity_dofs(0, k)[0] for k in range(4)]])
+
+
+def has_idle_corners(space) -> bool:
+    """Whether a space has such nodes."""
+    return space.mesh.topology.dim == 3 and space.dofmap.dof_layout.num_dofs == 10

@@ -24,6 +24,7 @@ from ewr_fenicsx.scene.scene_sense import (
     doubt_frequency,
     doubt_lengths,
     doubt_modes,
+    doubt_tetrahedra,
     laws_in_force,
 )
 from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
@@ -137,6 +138,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 loads=[_load(name, load) for name, load in scene.loads.items()],
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
+        doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
             interface = pair_interface(

@@ -25,6 +25,9 @@ SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse cu
 class Interface:
     """Pairs of nodes, ordered by flank and then along the flank's tangent, wherever that turns.
 
+    On triangles of second order, faces of tetrahedra, they are the nodes in the middle of edges: corners would carry
+    nothing of an even pressure.
+
     In ``d`` dimensions, 2 or 3. On a solid's flank pairs are ordered along its mean second tangent, row by row, and
     within a row along its first.
 
@@ -101,8 +104,7 @@ def pair_interface(
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
             tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
-            that has both bodies on the same side, nodes that carry no force under an even pressure, or a pair whose
-            nodes are both held across the flank.
+            that has both bodies on the same side, or a pair whose nodes are both held across the flank.
     """
     mesh = structure.mesh
     for body in (body_a, body_b):
@@ -134,7 +136,6 @@ def pair_interface(
     names = tuple(sides)
     paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
     for name, (a, b) in zip(names, paired, strict=True):
-        _check_areas(name, a)
         _check_smooth(name, a)
         _check_opposed(name, a, b, body_a, body_b)
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
@@ -225,7 +226,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     products = [boundaries.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
     turn = measure_turn(size, normal, np.stack(products, axis=1))
     local = dolfinx.fem.locate_dofs_topological(space, d - 1, mine)
-    local = np.unique(local[local < space.dofmap.index_map.size_local])
+    local = np.setdiff1d(local[local < space.dofmap.index_map.size_local], boundaries.find_idle_corners(space))
     columns = (
         boundaries.local_to_global(space, local),
         space.tabulate_dof_coordinates()[local, :d],
@@ -267,15 +268,6 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
             f"the same end points and the same transfinite spacing{clearance}"
         )
     return a.take(order), b.take(partner)
-
-
-def _check_areas(name: str, side: _Side) -> None:
-    k = int(np.argmin(side.area))
-    if side.area[k] < 1e-6 * side.area.max():
-        raise InterfaceError(
-            f'flank "{name}": the node at {tell_place(side.position[k])} carries no force under an even pressure, as '
-            "the corners of triangles of second order do: take elasticity.degree = 1, or hexahedra"
-        )
 
 
 def _check_smooth(name: str, side: _Side) -> None:

@@ -48,7 +48,7 @@ ORDER = {
     ],
     "output": [
         "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",
-        "output", "wear_fields",
+        "pair_fields", "output", "wear_fields",
     ],
     "runs": ["petsc_options", "findings", "study", "cost_report"],
 }

@@ -13,14 +13,13 @@ import pytest
 from mpi4py import MPI
 
 from ewr_fenicsx import integrate, load_scene
-from ewr_fenicsx.errors import InterfaceError, SceneError
+from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.output.output import write_results
 from ewr_fenicsx.solution.contact_state import sample_along_tangents
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 from ewr_fenicsx.structure.elasticity import BoundaryForce, CentrifugalForce, assemble_structure
-from ewr_fenicsx.structure.interface import _check_areas, _Side
 from ewr_fenicsx.structure.materials import TITANIUM
 from ewr_fenicsx.structure.mesh import build_mesh
 
@@ -191,10 +190,3 @@ def test_a_plane_turns_about_its_normal_only():
         assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM), loads=[spin])
     with pytest.raises(SceneError, match=r"axis is .* other than zero"):
         replace(spin, axis=(0.0, 0.0, 0.0))
-
-
-def test_nodes_without_an_area_are_refused():
-    """As the corners of triangles of second order, whose shape functions have no integral."""
-    side = _Side(np.arange(3), np.eye(3), np.eye(3), np.array([1.0, 0.0, 1.0]), np.zeros(3))
-    with pytest.raises(InterfaceError, match=r"node at \(0, 1, 0\) m carries no force .*elasticity\.degree = 1"):
-        _check_areas("left", side)
