@@ -37,6 +37,7 @@ SCENES = (
     "bolted_lap",
     "tapping_rod",
     "broached_dovetail",
+    "twisted_blade",
 )
 IN_README = "blade_root"  # its mesh.png, as `ewr run` draws it
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}

@@ -74,8 +74,8 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
             ("friction_force", "friction force [N]", 1.0),
             ("gap", "gap [µm]", 1e6),
             ("slip", "slip about its mean [µm]", 1e6),
-            (SECOND + "friction_force", "second friction force [N]", 1.0),
-            (SECOND + "slip", "second slip about its mean [µm]", 1e6),
+            (SECOND + "friction_force", "second\nfriction force [N]", 1.0),
+            (SECOND + "slip", "second slip\nabout its mean [µm]", 1e6),
         )
         if name in list_histories(solution)
     ]

@@ -45,6 +45,7 @@ LIGHT = np.array([0.35, 0.85, 0.4])  # where it comes from
 NEAR, NORMALS = 0.27, 0.09  # how far around the pairs faces are drawn, and length of normals, over the joint's extent
 SIDE, FILLED = 6.0, 0.95  # of the square that a drawing is in [in], and how far it fills it
 LEFT, GAP, TOP, BELOW, LINE = 0.9, 0.7, 0.8, 0.75, 0.18  # around and between drawings, and a line of a legend [in]
+BAR = 1.1  # width that a colour bar takes [in]
 TICKS = 7  # about as many numbers along the longest edge of a box
 
 
@@ -89,8 +90,9 @@ def draw_mode(path: Path, chain: Chain) -> None:
     _set_box(axes, cells.corners, moved)
     draw_lines(axes, cells.outline(), colors=AT_REST, linewidths=0.8, linestyles="--", zorder=0.5)
     _draw_faces(axes, moved, facecolors=colours.to_rgba(size.mean(axis=1) / size.max()))
-    _lay_out(figure, {axes: 3.5}, columns=(1,))
-    caption_mode(figure, colours, chain, cax=figure.add_axes((0.85, 0.2, 0.03, 0.6)))
+    _lay_out(figure, {axes: 3.5}, columns=(1,), beside=BAR)
+    wide = 1 / figure.get_figwidth()
+    caption_mode(figure, colours, chain, cax=figure.add_axes((1 - BAR * wide, 0.2, 0.2 * wide, 0.6)))
     save_picture(figure, path, dpi=DPI)
 
 
@@ -189,20 +191,21 @@ def fill_bodies(
     draw_lines(axes, outline[is_shown(outline)], colors=INK, linewidths=0.7, zorder=2)
 
 
-def _lay_out(figure: Figure, panels: Mapping[Axes3D, float], columns: Sequence[int]) -> None:
+def _lay_out(figure: Figure, panels: Mapping[Axes3D, float], columns: Sequence[int], beside: float = 0.0) -> None:
     """Puts drawings beside each other, with titles above and legends below.
 
     Args:
         figure: Which takes the size that they need.
         panels: Axes, and what widths [in] their titles and legends need.
         columns: Of each legend.
+        beside: Room that is left on the right [in].
     """
     boxes = np.array([_measure_box(axes) for axes in panels])
     entries = [len(axes.get_legend_handles_labels()[1]) for axes in panels]
     sizes = SIDE * np.ptp(boxes, axis=1)
     widths, height = np.maximum(sizes[:, 0], list(panels.values())), sizes[:, 1].max()
     below = BELOW + LINE * max(ceil(some / n) for some, n in zip(entries, columns, strict=True))
-    total = np.array([LEFT + np.sum(widths + GAP), TOP + height + below])
+    total = np.array([LEFT + np.sum(widths + GAP) + beside, TOP + height + below])
     figure.set_size_inches(total)
     places = LEFT + np.cumsum(widths + GAP) - GAP - widths / 2
     for axes, place, middle, some, n in zip(panels, places, boxes.mean(axis=1), entries, columns, strict=True):

@@ -32,6 +32,7 @@ SCENES = (
     "bolted_lap",
     "tapping_rod",
     "broached_dovetail",
+    "twisted_blade",
 )
 
 
@@ -135,6 +136,27 @@ def test_broached_dovetail(run):
     slot = np.array([np.sin(np.radians(15.0)), 0.0, np.cos(np.radians(15.0))])
     np.testing.assert_allclose(slot @ normals, 0.0, atol=1e-9)
     assert (folder / "second_slip.xdmf").exists()
+
+
+def test_twisted_blade(run):
+    """The lock leaves three rigid motions of six, and takes what pushes along the slot; flanks carry the spin."""
+    summary, pairs, folder = run("twisted_blade")
+    assert summary["solution"]["unknowns"] == 3 * len(pairs) * 11 + 3 and summary["solution"]["fallbacks"] == []
+    merit = summary["solution"]["merit"]
+    assert abs(merit["energy_error"]) < 1e-5 and merit["friction_dissipation"] > 0
+    assert np.mean(column(pairs, "slip_share")) > 0.05 and np.mean(column(pairs, "open_share")) > 0.05
+    assert (folder / "second_friction_traction.xdmf").exists()
+    chain = build_chain(load_scene(ROOT / "demos" / "twisted_blade.toml"))
+    structure, joint = chain.structure, chain.interface
+    assert structure.space.dofmap.dof_layout.num_dofs == 10, "tetrahedra of second order"
+    on_blade = np.repeat(structure.part == structure.part[joint.nodes_a[0]], 3).reshape(-1, 3)
+    pull = np.sum(structure.loads[0].vector.array.reshape(-1, 3) * on_blade, axis=0)
+    forces = -column(pairs, "normal_force_mean [N]")[:, None] * joint.normal
+    for k, name in enumerate(("friction_force", "second_friction_force")):
+        forces = forces + column(pairs, f"{name}_mean [N]")[:, None] * joint.tangents[:, k]
+    left = pull + forces.sum(axis=0)
+    assert pull[1] > 1e3
+    np.testing.assert_allclose(left[:2], 0.0, atol=1e-6 * pull[1])
 
 
 def test_platform_damper(run):
