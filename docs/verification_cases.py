@@ -21,6 +21,7 @@ import test_den_hartog_resonances as resonances  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
 import test_held_by_friction as held  # noqa: E402
 import test_hertz as hertz  # noqa: E402
+import test_hertz_in_space as sphere  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
 import test_rebound as rebound  # noqa: E402
 import test_reduction as reduction  # noqa: E402
@@ -172,6 +173,26 @@ def rub_cylinder(pairs: int, highest: int) -> Iterator[Row]:
     yield bound("traction at the peak, largest, of mu p0", errors["traction at the peak"])
     yield bound("traction where the shift is zero, largest", errors["traction without shift"])
     yield compare("work a cycle", hertz.exact_work(), solution.merit["friction_dissipation"])
+
+
+def press_sphere(across: int) -> Iterator[Row]:
+    """Largest pressure and approach of the sphere on a plane."""
+    solution, exact = sphere.press(across), sphere.PRESSURE * sphere.shape_hertz(across, 1.0)
+    _, _, spread = sphere.pressure_errors(across)
+    pressure = solution.history("normal_force", 4)[0] / sphere.size_of(across) ** 2
+    yield compare("largest pressure", exact.max(), pressure.max())
+    yield compare("approach", sphere.approach(sphere.FORCE), -solution.output("height")[0].real)
+    yield bound("pressure, rms, of p0", spread)
+
+
+def rub_sphere(across: int, highest: int) -> Iterator[Row]:
+    """Tangential force, tractions and work a cycle of the sphere that is rubbed along a line at 30 degrees."""
+    sphere.rub.cache_clear()
+    errors, solution = sphere.traction_errors(across, highest, 30.0), sphere.rub(across, highest, 30.0)
+    yield bound("largest tangential force", errors["force at the peak"])
+    yield bound("traction at the peak, rms, of mu p0", errors["traction at the peak"])
+    yield bound("traction across the line, largest, of mu p0", errors["traction across"])
+    yield compare("work a cycle", sphere.exact_work(), solution.merit["friction_dissipation"])
 
 
 def bend_beam() -> Iterator[Row]:
@@ -339,6 +360,8 @@ SECTIONS: dict[str, list[Case]] = {
         ),
         *((f"Hertz, {pairs} pairs", press_cylinder, (pairs,)) for pairs in (24, 96)),
         *((f"Cattaneo and Mindlin, {p} pairs, N = {n}", rub_cylinder, (p, n)) for p, n in ((24, 15), (48, 31))),
+        *((f"Hertz, a sphere, {n} patches across", press_sphere, (n,)) for n in (12, 24)),
+        *((f"Cattaneo and Mindlin, a sphere, 12 patches across, N = {n}", rub_sphere, (12, n)) for n in (9, 15)),
     ],
     "Wear against closed forms": [
         ("Uniform pressure and slip, 50 cycles", wear_evenly, ()),
