@@ -108,6 +108,16 @@ def doubt_tetrahedra(dimension: int, nodes_a_cell: int) -> Iterator[str]:
         )
 
 
+def doubt_closure(scene: Scene, dimension: int) -> Iterator[str]:
+    """What is probably not meant by the closure of friction in a mesh of so many dimensions, one sentence each."""
+    rubs = any(laws.tangential == "coulomb" for laws in laws_in_force(scene).values())
+    if dimension == 3 and scene.solver.closure == "spring" and rubs:
+        yield (
+            'solver.closure = "spring" does nothing: the mesh is of solids, and dashpots alone close friction in a '
+            "plane; remove it"
+        )
+
+
 def doubt_modes(scene: Scene, modes: int, highest: float) -> Iterator[str]:
     """What is probably not meant by loads above the highest mode that is kept [Hz], one sentence each."""
     if scene.solver.accuracy is not None or not (oscillating := oscillating_loads(scene)):

@@ -20,6 +20,7 @@ from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.scene.scene_joint import Contact
 from ewr_fenicsx.scene.scene_sense import (
     can_wear,
+    doubt_closure,
     doubt_drag,
     doubt_frequency,
     doubt_lengths,
@@ -156,6 +157,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         with watch.stage("reduction"):
             reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
     modes = reduction.fixed_interface_frequencies
+    doubts += tuple(doubt_closure(scene, mesh.dimension))
     doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
     doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
     doubts += tuple(doubt_drag(scene, reduction.rigid_drag))

@@ -7,7 +7,14 @@ import re
 import pytest
 from small_scenes import HEAD, PULL, SCENE
 
-from ewr_fenicsx.scene.scene_sense import doubt_drag, doubt_frequency, doubt_lengths, doubt_modes, hint_at_lengths
+from ewr_fenicsx.scene.scene_sense import (
+    doubt_closure,
+    doubt_drag,
+    doubt_frequency,
+    doubt_lengths,
+    doubt_modes,
+    hint_at_lengths,
+)
 
 
 @pytest.mark.parametrize(
@@ -38,6 +45,13 @@ def test_loads_above_the_modes_kept_are_doubted(read):
     assert not list(doubt_modes(read(twice), 3, 2100.0)) and not list(doubt_modes(read(SCENE), 3, 1900.0))
     assert not list(doubt_modes(read(HEAD + PULL), 3, 1.0)), "nothing oscillates"
     assert not list(doubt_modes(read(twice + "[solver]\naccuracy = 0.01"), 3, 1900.0))
+
+
+def test_springs_on_solids_are_told_to_do_nothing(read):
+    sprung = read(SCENE + "[solver]\nclosure = 'spring'\n")
+    (told,) = doubt_closure(sprung, 3)
+    assert 'solver.closure = "spring" does nothing: the mesh is of solids' in told
+    assert not list(doubt_closure(sprung, 2)) and not list(doubt_closure(read(SCENE), 3))
 
 
 def test_frequencies_in_kilohertz_are_doubted(read):

@@ -183,6 +183,13 @@ def test_scenes_of_solids_say_nothing_of_planes(tmp_path, change, told):
         build_chain(load_scene(tmp_path / "scene.toml"))
 
 
+def test_springs_that_solids_do_not_have_are_told(tmp_path):
+    chain = build_chain(write_scene(tmp_path, True, 5, rest='closure = "spring"\n'))
+    assert [doubt for doubt in chain.doubts if "does nothing: the mesh is of solids" in doubt]
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    assert not problem.system.closures
+
+
 def test_a_plane_turns_about_its_normal_only():
     mesh = build_mesh(GEOMETRY / "two_blocks.py", {}, MPI.COMM_WORLD)
     spin = CentrifugalForce("spin", 2 * pi, (0.0, 0.0), (1.0, 0.0, 0.0))
