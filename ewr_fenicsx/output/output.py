@@ -178,11 +178,13 @@ def write_pairs(path: Path, interface: Interface, solution: PeriodicSolution) ->
     """Writes one row a pair: where it is, and its figures over the period."""
     histories = {name: solution.history(name, SAMPLES) for name in list_histories(solution)}
     state = classify_contact(solution, SAMPLES) if changes_state(solution) else None
+    vectors = interface.normal, *interface.tangents.swapaxes(0, 1)
+    frame = dict(zip(("normal", "tangent", SECOND + "tangent"), vectors, strict=False))
     columns = {
         "pair": np.arange(len(interface.area)),
         "flank": np.array(interface.flanks)[interface.flank_of_pair],
         **{f"{axis} [m]": place for axis, place in zip("xyz", interface.position.T, strict=False)},
-        **{f"normal_{axis}": part for axis, part in zip("xyz", interface.normal.T, strict=False)},
+        **{f"{name}_{axis}": part for name, along in frame.items() for axis, part in zip("xyz", along.T, strict=False)},
         "area [m^2]": interface.area,
     }
     units = {"normal_force": "N", "friction_force": "N", "gap": "m", "slip": "m"}

@@ -160,6 +160,14 @@ def test_what_is_written_of_a_solid_tells_of_both_tangents(tmp_path):
     rows = list(csv.DictReader((tmp_path / "out" / "pairs.csv").open()))
     assert [float(row["z [m]"]) for row in rows[::4]] == pytest.approx([0.0, DEPTH / 2, DEPTH])
     assert {float(row["normal_y"]) for row in rows} == {-1.0} and "normal_z" in rows[0]
+    forces = {"normal": -1.0, "tangent": 1.0, "second_tangent": 1.0}  # sign of the force on body A along each
+    named = {"normal": "normal_force", "tangent": "friction_force", "second_tangent": "second_friction_force"}
+    on_a = sum(
+        sign * float(row[f"{named[name]}_mean [N]"]) * np.array([float(row[f"{name}_{axis}"]) for axis in "xyz"])
+        for row in rows
+        for name, sign in forces.items()
+    )
+    np.testing.assert_allclose(on_a, (0.0, 2000.0, 0.0), atol=1e-6)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["model"]["cells"] == 2 * (3 * 4 + 5 * 2)
     assert max(float(row["second_slip_max [m]"]) - float(row["second_slip_min [m]"]) for row in rows) > 1e-9
