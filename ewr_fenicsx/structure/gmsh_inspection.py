@@ -112,6 +112,11 @@ def _find_owners(source: Path, dimension: int, groups: Mapping[str, int]) -> dic
     owner: dict[int, str] = {}
     for name, number in groups.items():
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, number):
+            if owner.get(entity) == name:
+                raise MeshError(
+                    f'{source}: "{name}" holds entity {entity} of dimension {dimension} twice; list it once, or, where '
+                    "gmsh made one of what two bodies have at the same place, which glues them, keep two"
+                )
             if entity in owner:
                 raise MeshError(
                     f'{source}: entity {entity} of dimension {dimension} is in "{owner[entity]}" and in '

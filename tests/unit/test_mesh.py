@@ -223,6 +223,11 @@ def test_wrong_parameters_are_named(squares, parameters, words):
         ("groups.pop(1)", "pass", r"16 cells of entity 2 belong to no body \(a\)"),
         ("groups[1] = (2, surfaces, 'b')", "pass", 'entity 1 of dimension 2 is in "a" and in "b"'),
         ("groups.append((1, [curves[0][1]], 'edge'))", "pass", 'entity 2 of dimension 1 is in "wall" and in "edge"'),
+        (
+            "groups[2] = (1, 2 * [curves[0][1]], 'wall')",
+            "pass",
+            r'"wall" holds entity 2 of dimension 1 twice; .* which glues them, keep two',
+        ),
         ("pass", "gmsh.model.mesh.clear([(2, 2)])", 'body "b" has no cells in entity 2'),
         ("pass", "gmsh.model.mesh.clear()", "the model has no mesh of surfaces"),
         (
