@@ -23,6 +23,7 @@ from ewr_fenicsx.accuracy.estimates import (
     find_rate,
     measure_distance,
 )
+from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
 from ewr_fenicsx.accuracy.levels import GROWTH, Knobs, solve_first, solve_next
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
@@ -143,7 +144,8 @@ def solve_to_accuracy(
         highest: Highest harmonic that may be used; None: 63 times the lowest that is loaded, or twice the highest.
         most_unknowns: Unknowns a solve may have.
         modes: Which coordinates of the model are modal, by rising frequency, so that the error by the modes left out
-            can be estimated. Empty: that error is not looked at.
+            can be estimated; as ``ModesBesideResponses`` where it has the static responses to its loads besides, which
+            make that error small. Empty: it is not looked at.
         more_modes: Number of modes -> the problem on a model that keeps so many, with the same pairs, and which of its
             coordinates they are. None: modes that are too few are a limit.
         most_modes: Modes that ``more_modes`` may be asked for.
@@ -232,6 +234,8 @@ def read_modes(modes: Sequence[int], size: int) -> tuple[int, ...]:
     listed = read_numbers("modes", modes)
     if listed.ndim != 1 or len(set(listed)) < listed.size or not all(is_whole(m) and m < size for m in listed):
         raise ModelError(f"modes = {modes!r}; list the modal coordinates, each once, from 0 to {size - 1}")
+    if isinstance(modes, ModesBesideResponses):
+        return modes
     return tuple(int(m) for m in listed)
 
 

@@ -7,7 +7,7 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
   close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated. It adds to what harmonics do.
-- *modes*: a third fewer (``drop_modes``), so that the estimate is on the safe side.
+- *modes*: a third fewer (``fewer_modes.py``).
 
 The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer; in
 large joints operator splitting gets there in less time.
@@ -26,17 +26,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ewr_fenicsx.accuracy.fewer_modes import keep_fewer
 from ewr_fenicsx.accuracy.looking_ahead import approach, look_ahead, take_step
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
-from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import read_friction_weight
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.newton import solve
 
 WEIGHT_CHANGE = 2.0  # of rho_T, in the estimate of what the weight does
-MODES_DROPPED = 1 / 3
 # The error falls like N^-RATE: what a next order is chosen by, and what lies beyond a look ahead. With dashpots, beyond
 # the first set of harmonics, that is slower: with 1 / N for one mass, faster for most blocks and rows of masses.
 RATE, RATE_WITH_DASHPOTS = 2.0, 1.5
@@ -303,38 +302,18 @@ def estimate_at_once(
     )
 
 
-def drop_modes(model: ReducedModel, coordinates: Sequence[int]) -> ReducedModel:
-    """The reduced model without some of its modal coordinates."""
-    kept = np.setdiff1d(np.arange(model.size), coordinates)
-    return replace(
-        model,
-        mass=model.mass[np.ix_(kept, kept)],
-        damping=model.damping[np.ix_(kept, kept)],
-        stiffness=model.stiffness[np.ix_(kept, kept)],
-        normal=None if model.normal is None else model.normal[:, kept],
-        tangential=None if model.tangential is None else model.tangential[:, kept],
-        load={h: f[kept] for h, f in model.load.items()},
-        rigid_modes=model.rigid_modes[kept],
-        outputs={name: row[kept] for name, row in model.outputs.items()},
-    )
-
-
 def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Figure | None = None) -> float:
     """Error by the modes left out: one Newton step with a third of those kept left out as well, the highest.
 
     Args:
         solution: Converged.
-        modes: Which coordinates of the model are modal, by rising frequency; none: NaN, for it is not looked at.
+        modes: Which coordinates of the model are modal, by rising frequency; none: NaN, for it is not looked at. As
+            ``ModesBesideResponses`` where it has the static responses to its loads besides.
         figure: As in ``measure_distance``.
     """
     if not len(modes):
         return np.nan
-    problem = solution.problem
-    count = max(1, round(MODES_DROPPED * len(modes)))
-    fewer = list(modes)[-count:]
-    model = drop_modes(problem.model, fewer)
-    load = None if problem.load is None else {h: np.delete(f, fewer) for h, f in problem.load.items()}
-    return step_towards(solution, replace(problem, model=model, load=load), figure)
+    return step_towards(solution, keep_fewer(solution.problem, modes), figure)
 
 
 def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...]:

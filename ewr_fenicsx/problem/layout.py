@@ -6,7 +6,7 @@ They follow from the kinds of law alone, so that problems that differ in paramet
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,8 +18,8 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
 from ewr_fenicsx.model.compliance import receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
+from ewr_fenicsx.model.restriction import restrict
 
-_ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
 
@@ -170,28 +170,8 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
             f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
             "directions, or give a model with more coordinates"
         )
-    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
-    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
-    held = replace(
-        model,
-        mass=symmetric(_project(model.mass, basis)),
-        damping=basis.T @ model.damping @ basis,
-        stiffness=symmetric(_project(model.stiffness, basis)),
-        normal=project(model.normal),
-        tangential=project(model.tangential),
-        load={h: basis.T @ f for h, f in model.load.items()},
-        outputs={name: basis.T @ c for name, c in model.outputs.items()},
-        rigid_modes=basis.T @ _rigid_modes_that_obey(model, rows),
-    )
+    held = restrict(model, basis, _rigid_modes_that_obey(model, rows))
     return held, basis
-
-
-def _project(matrix: RealArray, basis: RealArray) -> RealArray:
-    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
-    forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
-    reached = np.abs(basis).T @ forces + eps * forces.sum()
-    projected, rounding = basis.T @ matrix @ basis, _ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
-    return np.where(np.abs(projected) > rounding, projected, 0.0)
 
 
 def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:

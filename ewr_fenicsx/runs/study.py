@@ -5,7 +5,7 @@ Sweeps, wear and what serves an accuracy are imported where a scene asks for the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -109,7 +109,7 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
         coefficient = spread_wear(chain.scene, chain.interface)
         what, rate = "the response and the wear rate", lambda solution: measure_wear_rate(solution, coefficient)
     try:
-        estimate = estimate_at_once(solution, chain.reduction.modal_coordinates, rate)
+        estimate = estimate_at_once(solution, _list_modes(chain), rate)
     except (EwrError, MemoryError) as error:  # the results are there, and not to be lost for it
         return [f"  its error is not known: {str(error) or 'out of memory'}"], None
     return [findings.tell_estimate(estimate, what)], findings.list_causes(estimate)
@@ -137,6 +137,14 @@ def _take_up(chain: Chain, work: Path | None, own: str) -> Chain:
     return replace(chain, reduction=replace(chain.reduction, model=model))
 
 
+def _list_modes(chain: Chain) -> Sequence[int]:
+    """Which coordinates of the reduced model are modal, and which static responses."""
+    from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
+
+    reduction = chain.reduction
+    return ModesBesideResponses(reduction.modal_coordinates, reduction.response_coordinates)
+
+
 class _Modes:
     """A chain whose reduction is made anew, with more modes, as an accuracy takes them; collective."""
 
@@ -149,9 +157,9 @@ class _Modes:
         return next(chain for chain in self.chains if chain.reduction.model is solution.problem.model)
 
     @property
-    def coordinates(self) -> range:
+    def coordinates(self) -> Sequence[int]:
         """Which coordinates of the model are modal."""
-        return self.chain.reduction.modal_coordinates
+        return _list_modes(self.chain)
 
     @property
     def most(self) -> int:
@@ -160,7 +168,7 @@ class _Modes:
 
         return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
 
-    def keep_more(self, count: int) -> tuple[ContactProblem, range]:
+    def keep_more(self, count: int) -> tuple[ContactProblem, Sequence[int]]:
         """The scene's problem on a model with so many modes, and which of its coordinates are modal.
 
         Wear may ask for the same again, where they led to no solution before.

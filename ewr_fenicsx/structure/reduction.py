@@ -67,6 +67,11 @@ class CraigBampton:
         return range(first, first + len(self.fixed_interface_frequencies))
 
     @property
+    def response_coordinates(self) -> range:
+        """Coordinates of the model that are static responses to loads, as far as the modes do not hold them."""
+        return range(self.modal_coordinates.stop, self.model.size)
+
+    @property
     def most_modes(self) -> int:
         """How many fixed-interface modes there are."""
         return self.structure.mass.getSize()[0] - len(self.structure.fixed) - len(self.contact_dofs)

@@ -10,8 +10,10 @@ from small_models import lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import levels
-from ewr_fenicsx.accuracy.estimates import drop_modes, estimate_errors, estimate_modes, measure_distance
+from ewr_fenicsx.accuracy.estimates import estimate_errors, estimate_modes, measure_distance
+from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.model.restriction import restrict
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 
 
@@ -36,6 +38,11 @@ def structure_with_modes(*stiffness: float) -> ReducedModel:
         pair_area=np.ones(2),
         rigid_modes=None,
     )
+
+
+def drop_modes(model: ReducedModel, coordinates) -> ReducedModel:
+    """The reduced model without some of its modal coordinates."""
+    return restrict(model, np.delete(np.eye(model.size), list(coordinates), axis=1), model.rigid_modes)
 
 
 def test_modes_are_raised_from_the_last_solution():
@@ -120,6 +127,18 @@ def test_modes_are_looked_at_under_the_loads_of_the_problem():
     beside = ContactProblem(model, ContactLaws(friction=0.2), 0.05, 5, load=load)
     found, expected = (estimate_modes(solve(problem, tolerance=1e-11), [6, 7]) for problem in (beside, own))
     assert found == pytest.approx(expected, rel=1e-6) and 3e-4 < expected < 1.0
+
+
+def test_static_responses_beside_the_modes_take_the_place_of_the_highest():
+    """Loads on modes so stiff that they follow: left out they are missed, and a model with responses misses nothing."""
+    model = structure_with_modes(0.5, 1.0, 1e4, 2e4)
+    load = {0: model.load[0], 1: model.load[1] + 5e2 * np.array([*np.zeros(8), 1.0, 2.0])}
+    outputs = {"tip": model.outputs["tip"] + np.array([*np.zeros(9), 10.0])}
+    solution = solve(ContactProblem(replace(model, load=load, outputs=outputs), ContactLaws(friction=0.2), 0.05, 5))
+    missed = estimate_modes(solution, range(6, 10))
+    beside = estimate_modes(solution, ModesBesideResponses(range(6, 10), ()))
+    assert missed > 0.01 and beside < 1e-4
+    assert beside > 0, "what the mode does besides is looked at"
 
 
 def test_modes_that_are_too_few_are_the_limit():

@@ -17,7 +17,7 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # fmt: off
 ORDER = {
     "": ["errors", "given", "display", "progress", "task_sharing", "whole_files"],
-    "model": ["rigid_modes", "reduced_model", "statics", "compliance"],
+    "model": ["rigid_modes", "reduced_model", "restriction", "statics", "compliance"],
     "laws": [
         "law_kinds", "smoothing", "cone", "mean_friction", "unilateral", "bonded", "prescribed", "planar_coulomb",
         "sprung_coulomb", "inertial_coulomb", "coulomb", "contact_laws",
@@ -33,7 +33,7 @@ ORDER = {
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
         "at_rest", "initial_states", "time_integration", "growing_load", "faint_forces", "weights", "newton",
     ],
-    "accuracy": ["looking_ahead", "estimates", "levels", "accuracy", "solving", "cost"],
+    "accuracy": ["looking_ahead", "fewer_modes", "estimates", "levels", "accuracy", "solving", "cost"],
     "response": [
         "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep",
     ],

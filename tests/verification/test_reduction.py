@@ -15,9 +15,14 @@ import scipy.sparse
 import scipy.sparse.linalg
 from mpi4py import MPI
 from petsc4py import PETSc
+from small_scenes import read_demo
 from sparse_matrices import to_scipy
 
+from ewr_fenicsx import load_scene, solve
+from ewr_fenicsx.accuracy.estimates import estimate_modes, measure_distance
+from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
 from ewr_fenicsx.errors import InterfaceError, ModesError
+from ewr_fenicsx.structure.chain import build_chain, pose_problem
 from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
@@ -401,3 +406,22 @@ def test_a_reduction_that_no_memory_holds_is_refused_at_once(monkeypatch):
     monkeypatch.setattr("ewr_fenicsx.structure.reduction.os.sysconf", lambda name: 1000)
     with pytest.raises(InterfaceError, match=r"40 pairs on .* needs 0\.00[0-9]+ GB, and this machine has 0\.001 GB"):
         reduce_structure(structure, interface)
+
+
+def test_the_error_by_modes_is_that_of_a_reduction_with_fewer(tmp_path):
+    """Its estimate drops modes from the model, whose static responses then have to do for these too."""
+    text = read_demo("two_blocks").replace("harmonics = 9", "harmonics = 3")
+    found = {}
+    for count in (30, 20):
+        (tmp_path / "scene.toml").write_text(f"{text}\n[reduction]\nmodes = {count}\n")
+        scene = load_scene(tmp_path / "scene.toml")
+        chain = build_chain(scene)
+        found[count] = solve(pose_problem(scene, chain.reduction.model, chain.interface)), chain.reduction
+    solution, reduction = found[30]
+    true = measure_distance(found[20][0], solution)
+    modes = reduction.modal_coordinates
+    beside = estimate_modes(solution, ModesBesideResponses(modes, reduction.response_coordinates))
+    assert true / 3 < beside < 3 * true
+    assert estimate_modes(solution, modes) > 30 * true, (
+        "without a word of the responses the modes are missed altogether"
+    )

@@ -1,0 +1,58 @@
+"""A problem on fewer modes than its reduced model keeps, by which the error of those left out is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.model.restriction import restrict
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+
+MODES_DROPPED = 1 / 3
+_NOTHING = 1e-10  # of responses to loads, over the largest, below which one is another one's rounding
+
+
+class ModesBesideResponses(tuple[int, ...]):
+    """Modal coordinates of a model that has static responses to its loads besides, as the package's own have.
+
+    Attributes:
+        responses: Coordinates of these. They lack what the modes do: with fewer modes they would respond for more.
+    """
+
+    responses: tuple[int, ...]
+
+    def __new__(cls, modes: Iterable[int], responses: Iterable[int]) -> ModesBesideResponses:
+        made = super().__new__(cls, modes)
+        made.responses = tuple(responses)
+        return made
+
+
+def keep_fewer(problem: ContactProblem, modes: Sequence[int]) -> ContactProblem:
+    """The problem without a third of its modes, the highest; static responses besides respond for these as well.
+
+    Args:
+        problem: On all of them.
+        modes: Which coordinates of its model are modal, by rising frequency.
+    """
+    model, fewer = problem.model, list(modes)[-max(1, round(MODES_DROPPED * len(modes))) :]
+    responses = np.zeros((model.size, 0))
+    if isinstance(modes, ModesBesideResponses):
+        fewer += modes.responses
+        responses = respond(problem, fewer)
+    basis = np.hstack([np.delete(np.eye(model.size), fewer, axis=1), responses])
+    load = None if problem.load is None else {h: basis.T @ f for h, f in problem.load.items()}
+    return replace(problem, model=restrict(model, basis, model.rigid_modes), load=load)
+
+
+def respond(problem: ContactProblem, coordinates: Sequence[int]) -> RealArray:
+    """Static responses of some coordinates to the loads where all others rest, orthonormal, ``(n, l)``."""
+    forces = [part for load in problem.loads.values() for part in (load[coordinates].real, load[coordinates].imag)]
+    stiffness = problem.model.stiffness[np.ix_(coordinates, coordinates)]
+    responses = np.linalg.solve(stiffness, np.reshape(forces, (-1, len(coordinates))).T)
+    shapes, sizes, _ = np.linalg.svd(responses, full_matrices=False)
+    found = np.zeros((problem.model.size, np.count_nonzero(sizes > _NOTHING * sizes.max(initial=0.0))))
+    found[coordinates] = shapes[:, : found.shape[1]]
+    return found

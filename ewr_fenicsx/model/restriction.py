@@ -1,0 +1,43 @@
+"""A reduced model on some of its motions only: with bonds, or with fewer modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.model.reduced_model import ReducedModel
+
+_ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
+
+
+def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> ReducedModel:
+    """The model on the motions ``x = basis @ y``.
+
+    Args:
+        model: The model.
+        basis: ``(n, n')``, orthonormal columns.
+        rigid_modes: ``(n, r)`` those of the model's that are among these motions.
+    """
+    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
+    symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
+    return replace(
+        model,
+        mass=symmetric(_project(model.mass, basis)),
+        damping=basis.T @ model.damping @ basis,
+        stiffness=symmetric(_project(model.stiffness, basis)),
+        normal=project(model.normal),
+        tangential=project(model.tangential),
+        load={h: basis.T @ f for h, f in model.load.items()},
+        outputs={name: basis.T @ c for name, c in model.outputs.items()},
+        rigid_modes=basis.T @ rigid_modes,
+    )
+
+
+def _project(matrix: RealArray, basis: RealArray) -> RealArray:
+    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
+    forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
+    reached = np.abs(basis).T @ forces + eps * forces.sum()
+    projected, rounding = basis.T @ matrix @ basis, _ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
+    return np.where(np.abs(projected) > rounding, projected, 0.0)
