@@ -77,10 +77,11 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
     seen = np.vstack([normal_motion, *tangential_motion[:, rubs]])
     if np.linalg.matrix_rank(seen, tol=_SEEN * largest_motion) < r:
         free = np.linalg.svd(seen)[2][-1]
+        slides = list_most(np.linalg.norm(tangential_motion @ free, axis=0))
+        moves = f"slides along {name_pairs(slides)}, where no friction holds it" if slides else "moves no pair"
         raise UnheldBody(
-            "a floating body can move without any contact noticing: its rigid motion is "
-            f"{np.array2string(free, precision=3)} in the model's rigid modes; add friction (resolved), a support or a "
-            "flank across it"
+            f"a floating body can move without any contact noticing: it {moves}; add friction (with a mean: "
+            'static_friction = "resolved" or "held"), a support or a flank across it'
         )
     if rest > _BALANCED:
         opening, sliding = normal_motion @ motion, np.linalg.norm(tangential_motion @ motion, axis=0)
