@@ -39,7 +39,7 @@ def find_rigid_motions(structure: Structure, interface: Interface, contact: np.n
                 loose.append(number)
             continue
         centre = place[mine].mean(axis=0)
-        reach = float(np.abs(place[mine] - centre).max())
+        reach = float(np.abs(place[mine] - centre).max()) or 1.0  # one free node
         free = find_free_motions(structure, part == number, centre, reach)
         seen = np.where(mine[:, None], _move(place, contact % d, centre, reach) @ free, 0.0)
         motions.append(seen / np.abs(seen).max(axis=0, initial=1e-300))
@@ -65,7 +65,7 @@ def find_free_motions(
         return np.eye(d + d * (d - 1) // 2)
     if centre is None:
         centre = place.mean(axis=0)
-        reach = float(np.abs(place - centre).max())
+        reach = float(np.abs(place - centre).max()) or 1.0
     _, sizes, turn = np.linalg.svd(_move(place, held % d, centre, reach), full_matrices=False)
     stopped = turn[sizes > _HELD * sizes.max()]
     left = np.eye(turn.shape[1]) - stopped.T @ stopped  # projects onto those that nothing stops

@@ -12,12 +12,14 @@ from mpi4py import MPI
 from ewr_fenicsx import integrate, load_scene, solve
 from ewr_fenicsx.errors import InterfaceError, ModesError, SceneError
 from ewr_fenicsx.output.mesh_plots import mark_held
+from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 from ewr_fenicsx.structure.elasticity import assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM
 from ewr_fenicsx.structure.mesh import build_mesh
 from ewr_fenicsx.structure.reduction import reduce_structure
+from ewr_fenicsx.structure.rigid_motions import find_rigid_motions
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
 BLOCKS, STACKS = (Path(__file__).parents[1] / "geometry" / f"{name}.py" for name in ("two_blocks", "stacks"))
@@ -186,6 +188,16 @@ def test_what_supports_along_one_axis_leave_of_a_plane_body():
     assert reduction.model.rigid_modes.shape[1] == 3 + 1
     eigenvalues = reduction.full_stick.frequency**2
     assert abs(eigenvalues[0]) < 1e-9 * eigenvalues[1]
+
+
+def test_a_held_body_may_have_one_free_node_on_the_flank():
+    """As where a support takes in all others of a short flank."""
+    structure = assemble_structure(build_mesh(BLOCKS, {}, MPI.COMM_WORLD), materials=BOTH)
+    interface = pair_interface(structure)
+    contact = list_dofs(np.append(interface.nodes_a, interface.nodes_b[0]), 2).ravel()
+    motions = find_rigid_motions(structure, interface, contact)
+    assert motions.shape == (len(contact), 3)
+    assert not motions[-2:].any()
 
 
 def test_a_piece_that_supports_let_slide_is_named():
