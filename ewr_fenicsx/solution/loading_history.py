@@ -40,6 +40,7 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
         change = held.unpack(step.solve(step.residual))[0][0].real
     except np.linalg.LinAlgError:
         return []
+    change = np.append(change, 0.0)  # of pairs without a row, which is -1
     along = lambda direction, pairs: change[problem.system.row_of(direction, pairs)]  # noqa: E731
     friction = np.hypot.reduce([np.zeros(stuck.size), *(along(d, stuck) for d in problem.model.tangent_directions)])
     carried = stuck[friction > CARRIED * limit]

@@ -96,6 +96,16 @@ def test_without_it_the_answer_is_another_and_says_that_it_is_open():
     assert not any("how the loads came" in line for line in solve(pose(60.0, clamp())).cautions)
 
 
+def test_of_pairs_that_rest_along_a_second_tangent_as_many_are_named():
+    """At those no row of the second tangent tells what they carry."""
+    problem = pose(10.0, clamp("resolved"))
+    rows = np.stack([problem.model.tangential, np.zeros_like(problem.model.tangential)], axis=1)
+    solid = replace(problem.model, tangential=rows.reshape(-1, problem.model.size))
+    one, other = (solve(posed).cautions for posed in (problem, replace(problem, model=solid)))
+    assert any("friction holds pair 1 throughout" in line for line in one)
+    assert other == one
+
+
 def test_what_a_pair_may_carry_is_its_least_limit_over_the_period():
     """Under 100 N and 40 N that come and go it rubs with 30 N to 70 N."""
     problem = shaken_node(0.01, 10.0)
