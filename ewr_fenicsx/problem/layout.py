@@ -127,8 +127,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         name, pair = places[int(np.argmax(immobile))]
         in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
         raise ModelError(
-            f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is clamped, or held "
-            f"by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
+            f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is held by supports, "
+            f"or held by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
         )
     flexibility, mobility = measure_flexibility(kept, rows)
     if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point

@@ -18,6 +18,7 @@ from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity, facing
 from ewr_fenicsx.structure.pair_frames import measure_turn, turn_along_supports, turn_tangents
 
+STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
@@ -290,15 +291,19 @@ def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> N
 
 
 def _check_free_to_part(names, flank_of_pair, position, normal, still) -> None:
-    """Refuses pairs both nodes of which are held across their flank."""
-    across = np.linalg.norm(np.where(still, normal, 0.0), axis=1)
-    k = int(np.argmax(across))
-    if across[k] > np.sin(np.radians(SHARPEST / 2)):
-        axes = [axis for axis, is_still in zip("xyz", still[k], strict=False) if is_still]
+    """Refuses pairs both nodes of which are held across their flank, or askew where it does not curve that way."""
+    tilt = np.degrees(np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(still, normal, 0.0), axis=1))))
+    for k in np.argsort(-tilt)[: np.count_nonzero(tilt > STRAIGHT)]:
+        others = (flank_of_pair == flank_of_pair[k]) & ~still.any(axis=1)
+        curves = np.degrees(np.arccos(np.clip(normal[others] @ normal[k], -1.0, 1.0))).max(initial=0.0)
+        if tilt[k] < SHARPEST / 2 and curves > tilt[k] / 2:
+            continue
+        axes = " and ".join(axis for axis, is_still in zip("xyz", still[k], strict=False) if is_still)
+        how = "and cannot part" if tilt[k] >= SHARPEST / 2 else f"which is {tilt[k]:.0f} degrees askew to it"
         raise InterfaceError(
-            f'flank "{names[flank_of_pair[k]]}": both nodes at {tell_place(position[k])} are held along '
-            f"{' and '.join(axes)} and cannot part; take the flank out of the boundary that is held, or end it short "
-            "of that"
+            f'flank "{names[flank_of_pair[k]]}": both nodes at {tell_place(position[k])} are held along {axes}, {how}: '
+            "a plane of symmetry stands at right angles to its flanks; take the flank out of the boundary that is "
+            "held, or end it short of that"
         )
 
 

@@ -92,7 +92,7 @@ def _refuse_loose(structure: Structure, loose: list[int]) -> None:
     nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}
     if names := [f'"{body}"' for body, of_body in nodes.items() if np.isin(part[of_body], loose).any()]:
         held = np.isin(part[structure.fixed // structure.mesh.dimension], loose).any()
-        why = "what is held of it along some axes leaves it free" if held else "no node of it is clamped"
+        why = "what is held of it along some axes leaves it free" if held else "no node of it is held"
         raise ModesError(
             f"nothing holds {' and '.join(names)}, or a piece of it: {why}, and none is in contact; clamp it, "
             "let it share nodes with what is held, or leave it out"

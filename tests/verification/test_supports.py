@@ -176,7 +176,18 @@ def test_supports_that_make_no_sense_are_refused(tmp_path):
         assemble_structure(mesh, materials=BOTH, hold={"tip": "z"})
     flank = next(name for name in mesh.boundaries if name not in ("tip", "clamp"))
     structure = assemble_structure(mesh, materials=BOTH, hold={flank: "xy"})
-    with pytest.raises(InterfaceError, match=rf'flank "{flank}": both nodes at .* held along x and y and cannot part'):
+    with pytest.raises(InterfaceError, match=rf'flank "{flank}": both nodes at .* held along x and y, and cannot part'):
+        pair_interface(structure)
+
+
+@pytest.mark.parametrize(
+    "degrees, message", [(20.0, "x, which is 20 degrees askew to it"), (40.0, "x, and cannot part")]
+)
+def test_a_straight_flank_that_is_held_askew_is_refused(degrees, message):
+    """Its normal was turned without a word; of a curve that meets a plane of symmetry it is, by half of an edge."""
+    mesh = build_mesh(BLOCKS, {"inclination": degrees}, MPI.COMM_WORLD)
+    structure = assemble_structure(mesh, materials=BOTH, hold={"joint": "x"})
+    with pytest.raises(InterfaceError, match=f"are held along {message}.*: a plane of symmetry stands at right angles"):
         pair_interface(structure)
 
 
