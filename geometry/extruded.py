@@ -32,6 +32,7 @@ from pathlib import Path
 import gmsh
 import numpy as np
 
+SOLIDS = ("extruded", "twisted_blade")  # builders beside this file that are of no profile
 HERE = Path(__file__).resolve().parent
 KINDS = {1: 1, 2: 3, 3: 5}  # dimension -> gmsh's number of the line, the quadrilateral and the hexahedron
 TYPES = {float: "a finite number", int: "a whole number", bool: "true or false", str: "text"}
@@ -92,7 +93,7 @@ def _load_profile(profile: str) -> Callable:
     path = HERE / (profile if profile.endswith(".py") else f"{profile}.py")
     if not path.is_file():
         known = [file.stem for file in sorted(HERE.glob("*.py")) if "\ndef build(" in file.read_text(encoding="utf-8")]
-        hint = _hint(profile, [name for name in known if name != "extruded"])
+        hint = _hint(profile, [name for name in known if name not in SOLIDS])
         raise ValueError(f'profile = "{profile}": no builder {path}{hint}, and others by their path, with .py')
     sys.path.insert(0, str(path.parent))  # it may import files beside it, now or as it draws
     draw = runpy.run_path(str(path)).get("build")

@@ -190,7 +190,7 @@ def test_second_histories_of_the_other_laws(tangential):
 def test_results_tell_of_both_directions(tmp_path):
     solution, each = ride_in_grooves(7), np.ones(6)
     interface = Interface(
-        ("seat",), np.zeros(6, dtype=int), np.zeros((6, 2)), np.zeros((6, 2)), np.zeros((6, 2)), 2.0 * each,
+        ("seat",), np.zeros(6, dtype=int), np.zeros((6, 2)), np.zeros((6, 2)), np.zeros((6, 1, 2)), 2.0 * each,
         np.arange(6), np.arange(6), None, None,
     )  # fmt: skip
     fields = contact_fields(interface, solution, 16)

@@ -48,6 +48,9 @@ def check_keys(schema: dict, table: dict, data: dict, path: str = "") -> None:
         entry = table["properties"][key]
         if (named := entry.get("additionalProperties")) is not None:
             for name, inner in value.items():
+                if "enum" in named:
+                    assert inner in named["enum"], f"{path}{key}.{name}"
+                    continue
                 check_keys(schema, find_table(schema, named, inner), inner, f"{path}{key}.{name}.")
         else:
             check_keys(schema, find_table(schema, entry, value), value, f"{path}{key}.")
