@@ -24,6 +24,7 @@ from ewr_fenicsx.errors import MeshError, SceneError, nearest
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import (
     boundary_facets,
+    find_idle_corners,
     find_tag,
     list_dofs,
     local_to_global,
@@ -164,6 +165,11 @@ class Structure:
         leader = np.unique(mine, return_index=True)[1][mine]
         links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
         return connect(*links.T, count)
+
+    @cached_property
+    def idle_corners(self) -> np.ndarray:
+        """Local numbers of nodes that carry nothing of an even pressure, as ``find_idle_corners`` has them."""
+        return find_idle_corners(self.space)
 
     @cached_property
     def fixed(self) -> np.ndarray:

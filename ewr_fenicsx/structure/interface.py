@@ -227,7 +227,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     products = [boundaries.integrate_normals(space, mine, along).array.reshape(-1, d) for along in np.eye(d)]
     turn = measure_turn(size, normal, np.stack(products, axis=1))
     local = dolfinx.fem.locate_dofs_topological(space, d - 1, mine)
-    local = np.setdiff1d(local[local < space.dofmap.index_map.size_local], boundaries.find_idle_corners(space))
+    local = np.setdiff1d(local[local < space.dofmap.index_map.size_local], structure.idle_corners)
     columns = (
         boundaries.local_to_global(space, local),
         space.tabulate_dof_coordinates()[local, :d],
