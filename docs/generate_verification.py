@@ -226,7 +226,8 @@ def describe_hanging_solids(found: dict) -> list[str]:
 mean ones, friction 0.05 to 1, 1 to 9 harmonics, the mean friction resolved or held; cold, nothing tuned by case. A body
 that is shaken by more than friction holds walks, and has no periodic motion: `solve` says so. "No answer" is anything
 else that did not converge, within {found["cap_seconds"]:g} s. Steps of the static solution, with one harmonic, count
-with the others; times are in seconds.""",
+with the others; times are in seconds. "Locked" are the same cases of the roots where an end of the blade is held along
+the axis (`supports.hold`).""",
         "",
         write_table(found["header"], found["rows"]),
     ]

@@ -17,7 +17,7 @@ MOST_STEPS = 60  # Newton steps, those of the static solution with it
 
 @pytest.fixture(scope="module")
 def fir_tree() -> ReducedModel:
-    return build("fir_tree")
+    return build("fir tree")
 
 
 @pytest.fixture(scope="module")
