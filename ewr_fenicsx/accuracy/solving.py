@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ewr_fenicsx.accuracy.accuracy import MORE, solve_to_accuracy
-from ewr_fenicsx.accuracy.estimates import estimate_at_once
+from ewr_fenicsx.accuracy.estimates import Figure, estimate_at_once
 from ewr_fenicsx.errors import EwrError, ModelError, NotConverged
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver import newton
 from ewr_fenicsx.solver.snes import LinearSolver
+
+REMEDY = "solve(problem, accuracy=0.01) takes as many harmonics as that needs"
 
 
 def solve(
@@ -71,15 +73,22 @@ def solve(
     return replace(found.solution, estimated_error=found.estimate.total, short=short)
 
 
-def tell_error(solution: PeriodicSolution) -> str:
+def tell_error(
+    solution: PeriodicSolution, what: str = "the outputs", remedy: str = REMEDY, figure: Figure | None = None
+) -> str:
     """How far off a solution is thought to be that no accuracy was asked of, for people; "" where nothing is left out.
 
     What its reduced model lacks, modes and mesh, is not in it.
+
+    Args:
+        solution: Converged.
+        what, remedy: As ``ErrorEstimate.tell`` has them.
+        figure: What is looked at beside the outputs, as in ``estimate_errors``.
     """
     if not solution.problem.frequency or not solution.unknowns:
         return ""
     try:
-        estimate = estimate_at_once(solution)
+        estimate = estimate_at_once(solution, figure=figure)
     except (EwrError, MemoryError) as error:  # the solution is there, and not to be lost for it
         return f"its error is not known: {str(error) or 'out of memory'}"
-    return estimate.tell("the outputs", "solve(problem, accuracy=0.01) takes as many harmonics as that needs")
+    return estimate.tell(what, remedy)

@@ -13,7 +13,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import boundary_facets
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.facing import find_body_of_cells, find_cells_beside
+from ewr_fenicsx.structure.facing import find_body_of_cells, find_cells_beside, number_faces
 from ewr_fenicsx.structure.mesh import JointMesh
 
 SHARP = 35.0  # degrees between two faces, from which the edge between them is part of the outline
@@ -125,9 +125,8 @@ def _list_drawn(mesh: JointMesh) -> tuple[np.ndarray, np.ndarray, int]:
     topology.create_connectivity(2, 3)
     topology.create_connectivity(3, 2)
     outer = dolfinx.mesh.exterior_facet_indices(topology)
-    cells, faces_of = find_cells_beside(mesh, outer), topology.connectivity(3, 2)
-    faces = [np.flatnonzero(faces_of.links(cell) == face)[0] for cell, face in zip(cells, outer, strict=True)]
-    return cells, np.array(faces, dtype=np.int64), len(faces_of.links(0))
+    cells = find_cells_beside(mesh, outer)
+    return cells, number_faces(mesh, cells, outer), len(topology.connectivity(3, 2).links(0))
 
 
 def measure_thinnest_body(chain: Chain) -> float:

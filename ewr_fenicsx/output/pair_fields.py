@@ -12,7 +12,7 @@ from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import boundary_facets, has_idle_corners, local_to_global
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.facing import find_cells_beside
+from ewr_fenicsx.structure.facing import find_cells_beside, number_faces
 
 
 def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
@@ -51,12 +51,11 @@ def _lend_to_corners(chain: Chain, pair_of_node: Mapping[int, int]) -> dict[int,
     """Corners of flanks, by global number, and the first of the nearest pairs in the middle of edges."""
     space, mesh = chain.structure.space, chain.mesh
     mesh.domain.topology.create_connectivity(2, 3)
+    mesh.domain.topology.create_connectivity(3, 2)
     facets = np.concatenate([boundary_facets(mesh, name) for name in chain.interface.flanks])
     cells = find_cells_beside(mesh, facets)
-    faces_of, layout = mesh.domain.topology.connectivity(3, 2), space.dofmap.dof_layout
-    place, lent = space.tabulate_dof_coordinates(), []
-    for cell, facet in zip(cells, facets, strict=True):
-        number = int(np.flatnonzero(faces_of.links(cell) == facet)[0])
+    layout, place, lent = space.dofmap.dof_layout, space.tabulate_dof_coordinates(), []
+    for cell, number in zip(cells, number_faces(mesh, cells, facets).tolist(), strict=True):
         nodes = _compat.cell_dofs(space, [cell])[layout.entity_closure_dofs(2, number)]
         named = local_to_global(space, nodes).tolist()
         middles = [i for i, node in enumerate(named) if node in pair_of_node]

@@ -45,6 +45,13 @@ def find_body_of_cells(mesh: JointMesh) -> np.ndarray:
     return body
 
 
+def number_faces(mesh: JointMesh, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Which of its cell's own faces each facet is, of the cells beside them."""
+    faces_of = mesh.domain.topology.connectivity(mesh.dimension, mesh.dimension - 1)
+    found = [np.flatnonzero(faces_of.links(c) == f)[0] for c, f in zip(cells, facets, strict=True)]
+    return np.array(found, dtype=np.int64)
+
+
 def find_cells_beside(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:
     """Local number of the cell beside each exterior facet."""
     cells_of = mesh.domain.topology.connectivity(mesh.dimension - 1, mesh.dimension)

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ewr_fenicsx.accuracy.accuracy import check_accuracy, solve_to_accuracy
-from ewr_fenicsx.accuracy.estimates import estimate_at_once
-from ewr_fenicsx.errors import EwrError, ModelError, list_few, nearest
+from ewr_fenicsx.accuracy.solving import tell_error
+from ewr_fenicsx.errors import ModelError, list_few, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
@@ -70,11 +70,8 @@ class WearHistory:
             lines.append(f"  estimated errors up to {np.nanmax(self.estimates):.1g} of {self.accuracy:g} asked")
         elif np.any(self.rate[-1]):
             remedy = "evolve_wear(..., accuracy=0.01) takes as many harmonics as that needs"
-            try:
-                error = estimate_at_once(last, figure=lambda there: measure_wear_rate(there, self.coefficient))
-                lines.append(f"  in the end {error.tell(what, remedy)}")
-            except (EwrError, MemoryError) as unknown:  # the wear is there, and not to be lost for it
-                lines.append(f"  its error is not known: {str(unknown) or 'out of memory'}")
+            told = tell_error(last, what, remedy, lambda there: measure_wear_rate(there, self.coefficient))
+            lines.append(f"  in the end {told}")
         return "\n".join(lines + [f"  in the end {line}" for line in last.list_reservations()])
 
     def list_outcome(self) -> list[str]:

@@ -52,7 +52,7 @@ def test_what_cannot_be_estimated_is_said_and_nothing_is_said_of_what_is_exact(m
     bonded = replace(JOINT, laws=ContactLaws(normal="bonded", tangential="bonded"))
     assert "error" not in solve(bonded).summary()
 
-    def fail(solution):
+    def fail(solution, figure):
         raise MemoryError
 
     monkeypatch.setattr("ewr_fenicsx.accuracy.solving.estimate_at_once", fail)
