@@ -9,6 +9,8 @@ __version__ = "0.1.0"
 # Names are imported when first used: a script with matrices of its own never loads dolfinx.
 _HOME = {
     "ReducedModel": "model.reduced_model",
+    "close_ring": "model.ring",
+    "unroll_ring": "model.ring",
     "ContactLaws": "laws.contact_laws",
     "ContactProblem": "problem.contact_problem",
     "PeriodicSolution": "solution.solution",

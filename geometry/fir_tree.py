@@ -24,7 +24,9 @@ in place and opens a gap of ``clearance`` on the undersides of the lobes, and a 
 
 Physical groups:
     surfaces: ``blade``, ``disk``
-    curves: ``clamp`` (hub and both sector cuts), ``tip``, and the flanks, each holding the curves of both bodies:
+    curves: ``clamp`` (hub and both sector cuts; with ``free_cuts`` the hub alone, and the cuts are ``low_cut``, at
+        x > 0, and ``high_cut``, for ``[cyclic]`` of a scene), ``tip``, and the flanks, each holding the curves of both
+        bodies:
         ``left``, ``right`` with one lobe; ``top_left``, ``top_right``, ``bottom_left``, ``bottom_right`` with two;
         ``lobe1_left``, ``lobe1_right``, ``lobe2_left`` ... from the top with more.
 
@@ -83,6 +85,7 @@ def build(
     hub_radius: float = 135.0e-3,
     pairs: int = 10,
     mesh_size: float = 1.4e-3,
+    free_cuts: bool = False,
 ) -> None:
     """Add the sector to the current gmsh model, mesh it and name its groups.
 
@@ -111,6 +114,7 @@ def build(
         hub_radius: Radius of the clamped inner edge [m].
         pairs: Nodes on each side of each flank, ends included.
         mesh_size: Size of the cells away from the flanks [m].
+        free_cuts: Whether the sector cuts are boundaries of their own, and not clamped.
 
     Raises:
         ValueError: A parameter has the wrong sign or the pieces do not fit together; names the parameter.
@@ -169,9 +173,12 @@ def build(
         columns,
         mesh_size,
     )
-    clamp = _draw_disk(disk, posts, bottom, flanks, lobes, half_angle, hub_radius, rim_radius, mesh_size)
+    hub, *cuts = _draw_disk(disk, posts, bottom, flanks, lobes, half_angle, hub_radius, rim_radius, mesh_size)
+    held = {"clamp": hub} | dict(zip(("high_cut", "low_cut"), cuts, strict=True))
+    if not free_cuts:
+        held = {"clamp": [curve for curves in held.values() for curve in curves]}
 
-    mesh_bodies((blade, disk), {**flanks, "clamp": clamp, "tip": tip})
+    mesh_bodies((blade, disk), {**flanks, **held, "tip": tip})
 
 
 def name_flank(lobe: int, lobes: int, side: int) -> str:
@@ -183,7 +190,7 @@ def name_flank(lobe: int, lobes: int, side: int) -> str:
 
 
 def _check_parameters(parameters: dict[str, float]) -> None:
-    check_positive(parameters)
+    check_positive({name: value for name, value in parameters.items() if name != "free_cuts"})
     for name in ("flank_angle", "underside_angle"):
         check_angle(name, parameters[name])
     check_pairs(parameters["pairs"])
@@ -315,8 +322,8 @@ def _draw_disk(
     hub_radius: float,
     rim_radius: float,
     mesh_size: float,
-) -> list[int]:
-    """Both posts and the disk below the slot; adds to ``flanks``, returns the curves of hub and sector cuts."""
+) -> tuple[list[int], list[int], list[int]]:
+    """Both posts and the disk below the slot; adds to ``flanks``, returns the curves of the hub and both cuts."""
     centre, corner = (0.0, 0.0), bottom.split
     rim, hub = ((radius * sin(half_angle), radius * cos(half_angle)) for radius in (rim_radius, hub_radius))
     at_cut = lambda level: (level * tan(half_angle), level)  # noqa: E731
@@ -328,13 +335,13 @@ def _draw_disk(
     middle = count_cells(bottom.end[0], mesh_size)
     rows = max(2, count_cells(bottom.end[1] - hub_radius, 2 * mesh_size))
     feet = [(hub_radius * sin(share * half_angle), hub_radius * cos(share * half_angle)) for share in HUB_SHARES]
-    clamp = []
+    at_hub, cuts = [], {-1: [], 1: []}
     for side in (-1, 1):
         start, cut = mirror([posts[0].start, rim], side)
         body.curve(start, cut, columns, centre, GROWTH)  # the rim; the first row of the post finds it drawn
         for piece, (upper, lower) in zip(posts, pairwise(levels), strict=True):
             curve = _draw_row(body, piece, at_cut(upper), at_cut(lower), columns, side)
-            clamp.append(body.curve(*mirror([at_cut(upper), at_cut(lower)], side), piece.cells))
+            cuts[side].append(body.curve(*mirror([at_cut(upper), at_cut(lower)], side), piece.cells))
             if piece.lobe:
                 flanks.setdefault(name_flank(piece.lobe, lobes, side), []).append(curve)
         above = mirror([(0.0, bottom.end[1]), bottom.end, corner, at_cut(depth)], side)
@@ -353,6 +360,6 @@ def _draw_disk(
                     -body.curve(above[k], above[k + 1], cells, round_which, growth),
                 ],
             )
-            clamp.append(hub_curve)
-        clamp.append(outer)
-    return clamp
+            at_hub.append(hub_curve)
+        cuts[side].append(outer)
+    return at_hub, cuts[-1], cuts[1]

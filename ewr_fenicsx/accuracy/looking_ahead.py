@@ -18,7 +18,7 @@ from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
-from ewr_fenicsx.model.compliance import find_normal_modes
+from ewr_fenicsx.model.receptance import find_normal_modes
 from ewr_fenicsx.problem.closure import find_own_springs, measure_beyond
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import use_mobility

@@ -27,7 +27,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.model.compliance import find_undamped_modes
+from ewr_fenicsx.model.receptance import find_undamped_modes
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 

@@ -76,11 +76,12 @@ def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray,
 
     Returns:
         The one of a pair with positive imaginary part; 0 where none is seen, where too many rows change status to look,
-        where a law remembers, where redundant pairs share their forces in any way, and at rest: there is no period.
+        where a law remembers, where redundant pairs share their forces in any way, at rest: there is no period; and of
+        a sector of a ring, whose neighbours may deviate in any way.
     """
     system = problem.system
     top, rows = system.basis.orders[-1], system.rows.shape[0]
-    if not top:
+    if not top or system.model.cyclic:
         return 0.0
     if not rows:
         return find_linear_growth(system)
@@ -248,8 +249,10 @@ def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool
         forces, rigid: As in ``find_growth``.
 
     Returns:
-        None where a law remembers, and where rounding decides.
+        None where a law remembers, where rounding decides, and of a sector of a ring.
     """
+    if system.model.cyclic:
+        return None
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is None:
         return None

@@ -60,11 +60,11 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
         rigid: Its rigid coordinates ``(r,)`` [m].
 
     Returns:
-        False also where one harmonic alone has too many unknowns to look, where there is none, and where one in between
-        hits an undamped mode exactly.
+        False also where one harmonic alone has too many unknowns to look, where there is none, where one in between
+        hits an undamped mode exactly, and of a sector of a ring.
     """
     count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
-    if not count:
+    if not count or system.model.cyclic:
         return False
     system = see_often(system)
     solved, unknowns = pose_at(system, forces, rigid)

@@ -103,10 +103,12 @@ class TimeScheme:
 
     Raises:
         ModelError: No period, no whole number of steps, too few for the problem's harmonics, so long that inertia is
-            lost beside stiffness, or ``theta`` outside [1/2, 1].
+            lost beside stiffness, or ``theta`` outside [1/2, 1]; a sector of a ring.
     """
 
     def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
+        if problem.model.cyclic:
+            raise ModelError("in time the sectors of a ring go their own ways: step unroll_ring(model); use solve")
         if problem.frequency <= 0:
             raise ModelError(f"frequency = {problem.frequency} Hz; a time step needs a period: give a positive one")
         if not is_whole(steps, 1):

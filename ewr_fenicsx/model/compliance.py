@@ -9,17 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
-import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.model.receptance import GeneralisedInverse, NormalModes, find_normal_modes, solve_directly, superpose
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.statics import list_most
 
-GeneralisedInverse = Literal["inertia relief", "pinned"]
 _SEEN = 1e-10  # motion of rows by rigid modes, over what they could see of them, below which it is rounding
 
 
@@ -147,9 +145,7 @@ class Responses:
         self.model, self.omega, self.generalised_inverse = model, omega, generalised_inverse
         self.readers = np.vstack([rows, *model.outputs.values()])
         self.rows = self.readers[: rows.shape[0]]
-        self.modes = find_normal_modes(model)
-        if self.modes is not None:
-            self.seen = self.readers @ self.modes.shapes  # once for all harmonics
+        self._seen: dict[int, RealArray | ComplexArray] = {}  # by wave, once for all its harmonics
         self._known: dict[int, ComplexArray] = {}
 
     def to_rows(self, h: int) -> ComplexArray:
@@ -160,20 +156,30 @@ class Responses:
 
     def to_load(self, h: int, force: ComplexArray) -> ComplexArray:
         """``(p,)`` to a load ``(n,)`` at a harmonic."""
-        if self._uncouples(h):  # the fewest products first
-            return self.seen @ (self.modes.gain(h * self.omega) * (self.modes.shapes.T @ force))
+        if modes := self._uncouple(h):  # the fewest products first
+            return self._see(h, modes) @ (modes.gain(h * self.omega) * (modes.shapes.conj().T @ force))
         return self._solve(h, force[:, None])[:, 0]
 
     def _respond_to_rows(self, h: int) -> ComplexArray:
-        if self._uncouples(h):
-            return superpose(self.seen, self.modes.gain(h * self.omega), self.seen[: len(self.rows)].T)
+        if modes := self._uncouple(h):
+            seen = self._see(h, modes)
+            return superpose(seen, modes.gain(h * self.omega), seen[: len(self.rows)].conj().T)
         return self._solve(h, self.rows.T)
 
-    def _uncouples(self, h: int) -> bool:
-        return self.modes is not None and (h != 0 or self.generalised_inverse != "pinned")
+    def _uncouple(self, h: int) -> NormalModes | None:
+        pinned = h == 0 and self.generalised_inverse == "pinned"
+        return None if pinned else find_normal_modes(self.model, self.model.wave_of(h))
+
+    def _see(self, h: int, modes: NormalModes) -> RealArray | ComplexArray:
+        """What the readers see of modes, ``(p, n)``."""
+        wave = self.model.wave_of(h)
+        if wave not in self._seen:
+            self._seen[wave] = self.readers @ modes.shapes
+        return self._seen[wave]
 
     def _solve(self, h: int, forces: ComplexArray) -> ComplexArray:
-        return self.readers @ solve_directly(self.model, h * self.omega, forces, self.generalised_inverse)
+        at = h * self.omega, forces, self.generalised_inverse, self.model.wave_of(h)
+        return self.readers @ solve_directly(self.model, *at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,164 +198,6 @@ class _Itself:
 @lru_cache(maxsize=2)  # as much memory as a compliance each
 def _respond_at(model: ReducedModel, rows: _Itself, omega: float, generalised_inverse: GeneralisedInverse) -> Responses:
     return Responses(model, rows.array, omega, generalised_inverse)
-
-
-@dataclass(frozen=True, eq=False)
-class NormalModes:
-    """Undamped modes of a reduced model: with them every frequency's compliance is one product.
-
-    Scaled to unit stiffness rather than unit mass, so that massless coordinates are modes like others.
-
-    Attributes:
-        shapes: ``(n, n)``.
-        stiffness, mass, damping: ``(n,)`` modal; stiffness exactly zero for rigid modes.
-    """
-
-    shapes: RealArray
-    stiffness: RealArray
-    mass: RealArray
-    damping: RealArray
-
-    def gain(self, omega: float | RealArray) -> ComplexArray:
-        """``(n,)`` response of each mode to a unit of its force, ``(k, n)`` at ``k`` frequencies [rad/s].
-
-        Rigid modes have none at zero frequency.
-
-        Raises:
-            ModelError: A frequency hits an undamped mode exactly.
-        """
-        omega = np.asarray(omega, dtype=float)[..., None]
-        impedance = self.stiffness - omega**2 * self.mass + 1j * omega * self.damping
-        responds = impedance != 0
-        if np.any(hit := ~responds & (omega != 0)):
-            raise hit_undamped_mode(np.broadcast_to(omega, hit.shape)[hit][0])
-        return np.divide(1.0, impedance, where=responds, out=np.zeros_like(impedance))
-
-
-def hit_undamped_mode(omega: float) -> ModelError:
-    """What is wrong where nothing limits the response at a frequency [rad/s]."""
-    return ModelError(f"{omega / (2 * np.pi):g} Hz hits an undamped mode exactly; give the model some damping")
-
-
-@lru_cache(maxsize=8)
-def find_normal_modes(model: ReducedModel) -> NormalModes | None:
-    """All modes of the model, or None where they do not uncouple it: damping not proportional."""
-    modes = find_undamped_modes(model)
-    if modes is None:
-        return None
-    shapes, own = modes.shapes, modes.damping
-    damping = shapes.T @ model.damping @ shapes
-    rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(model.damping) @ np.abs(shapes))
-    coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
-    np.fill_diagonal(coupling, 0.0)
-    return None if np.any(coupling > 0) else modes
-
-
-@lru_cache(maxsize=8)
-def find_undamped_modes(model: ReducedModel) -> NormalModes | None:
-    """All modes of the model, whether damping couples them or not, or None where its stiffness is not positive.
-
-    Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
-    their digits, whatever the highest frequency of the model.
-    """
-    weight = np.trace(model.mass)
-    shift = (1e-6 * np.trace(model.stiffness) / weight or 1.0) if weight else 0.0  # without a mass nothing is rigid
-    shifted = model.stiffness + shift * model.mass
-    scale = 1 / np.sqrt(np.diag(shifted))
-    try:
-        mass, shapes = scipy.linalg.eigh(scale[:, None] * model.mass * scale, scale[:, None] * shifted * scale)
-    except np.linalg.LinAlgError:
-        return None
-    shapes *= scale[:, None]
-    stiffness = 1 - shift * mass
-    stiffness[model.size - model.rigid_modes.shape[1] :] = 0.0  # ascending in mass: the rigid modes come last
-    return NormalModes(shapes, stiffness, mass, np.einsum("ij,ij->j", shapes, model.damping @ shapes))
-
-
-def receptance(model: ReducedModel, omega: float, readers: RealArray | None, forces: ComplexArray) -> ComplexArray:
-    """``C Z(omega)^-1 F``: what rows ``C (p, n)`` read of the response to harmonic forces ``F (n, k)``.
-
-    By modal superposition where the modes uncouple the model, else as ``solve_directly``. Without rows, all
-    coordinates.
-
-    Returns:
-        ``(p, k)`` complex.
-
-    Raises:
-        ModelError: The frequency hits an undamped mode exactly.
-    """
-    read = (lambda response: response) if readers is None else (lambda response: readers @ response)
-    modes = find_normal_modes(model)
-    if modes is None:
-        return read(solve_directly(model, omega, forces, "inertia relief"))
-    return superpose(read(modes.shapes), modes.gain(omega), modes.shapes.T @ forces)
-
-
-def solve_directly(
-    model: ReducedModel, omega: float, forces: ComplexArray, generalised_inverse: GeneralisedInverse
-) -> ComplexArray:
-    """``Z(omega)^-1 F``: coordinates ``(n, k)`` under harmonic forces ``(n, k)``, by one factorisation of ``Z``.
-
-    At zero frequency a generalised inverse, as in ``solve_static``.
-
-    Raises:
-        ModelError: The frequency hits an undamped mode exactly.
-    """
-    if omega == 0:
-        return solve_static(model, forces, generalised_inverse)
-    impedance = model.stiffness - omega**2 * model.mass + 1j * omega * model.damping
-    try:
-        return scipy.linalg.solve(impedance, forces, check_finite=False, overwrite_a=True)
-    except np.linalg.LinAlgError:
-        raise hit_undamped_mode(omega) from None
-
-
-def measure_resistance(model: ReducedModel, rows: RealArray, omega: float) -> RealArray:
-    """``(m,)`` flexibility ``b (K + omega^2 M)^-1 b^T`` of each row against stiffness and inertia together [m/N].
-
-    Modes far below ``omega`` give little to it, however soft they are, and those far above all that they give at rest.
-    """
-    modes = find_undamped_modes(model)
-    if modes is None:
-        return np.einsum("mn,nm->m", rows, scipy.linalg.solve(model.stiffness + omega**2 * model.mass, rows.T))
-    return (rows @ modes.shapes) ** 2 @ (1 / (modes.stiffness + omega**2 * modes.mass))
-
-
-def superpose(read: RealArray, gain: ComplexArray, excited: ComplexArray) -> ComplexArray:
-    """``(p, k)`` response that rows read ``(p, n)`` where each of ``n`` modes answers by its gain to ``(n, k)``."""
-    if np.iscomplexobj(excited):
-        return (read * gain) @ excited
-    result = np.empty((read.shape[0], excited.shape[1]), dtype=complex)
-    result.real = (read * gain.real) @ excited  # real products: half the work of complex ones
-    result.imag = (read * gain.imag) @ excited
-    return result
-
-
-def solve_static(model: ReducedModel, forces: ComplexArray, generalised_inverse: GeneralisedInverse) -> ComplexArray:
-    """``K^+ F``: static coordinates ``(n, k)``; for balanced forces the exact response up to a rigid motion.
-
-    Args:
-        model: The model, with ``r`` rigid modes.
-        forces: ``(n, k)`` forces [N].
-        generalised_inverse: ``"inertia relief"`` balances each force by d'Alembert forces and leaves no rigid motion;
-            ``"pinned"`` holds ``r`` coordinates that the rigid modes move most independently.
-    """
-    modes = model.rigid_modes
-    if modes.shape[1] == 0:
-        return scipy.linalg.solve(model.stiffness, forces, assume_a="sym", check_finite=False)
-    if generalised_inverse == "pinned":
-        pins = scipy.linalg.qr(modes.T, pivoting=True, mode="r")[1][: modes.shape[1]]
-        free = np.setdiff1d(np.arange(model.size), pins)
-        response = np.zeros(forces.shape, dtype=forces.dtype)
-        response[free] = scipy.linalg.solve(model.stiffness[np.ix_(free, free)], forces[free], assume_a="sym")
-        return response
-    modes = modes @ np.linalg.inv(np.linalg.cholesky(modes.T @ model.mass @ modes)).T
-    inertia = model.mass @ modes
-    stiff = np.abs(model.stiffness).max() or 1.0  # any will do where nothing bends
-    grounded = model.stiffness + stiff / np.abs(inertia).max() ** 2 * (inertia @ inertia.T)
-    balanced = forces - inertia @ (modes.T @ forces)
-    response = scipy.linalg.solve(grounded, balanced, assume_a="sym", check_finite=False)
-    return response - modes @ (inertia.T @ response)
 
 
 def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:

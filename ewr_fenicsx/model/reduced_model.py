@@ -13,7 +13,7 @@ Conventions, for the whole package
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from reprlib import repr as shorten
@@ -24,6 +24,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_harmonic, read_numbers, refreeze
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, CyclicSymmetry
 from ewr_fenicsx.model.rigid_modes import (
     check_inertia,
     check_rigid_modes,
@@ -62,6 +63,8 @@ class ReducedModel:
         pair_area: ``(K_c,)`` tributary area of each pair [m^2]; None: ones, which ``evolve_wear`` warns of.
         rigid_modes: ``(n, r)`` basis of the null space of ``stiffness``; found when None.
         outputs: Name -> ``(n,)`` row of a quantity to follow, ``row @ x``.
+        cyclic: Of one sector of a ring: what its neighbours do to it; ``close_ring`` makes such models. All else is of
+            this sector, and mass, damping and stiffness are those that it has while all sectors move in phase.
 
     Raises:
         ModelError: Shapes disagree, a matrix is not finite, symmetric or positive semidefinite, or ``rigid_modes``
@@ -77,6 +80,7 @@ class ReducedModel:
     pair_area: RealArray | None = None
     rigid_modes: RealArray | None = None
     outputs: Mapping[str, RealArray] = field(default_factory=dict)
+    cyclic: CyclicSymmetry | None = None
 
     def __post_init__(self) -> None:
         freeze = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
@@ -132,11 +136,26 @@ class ReducedModel:
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
             check_rigid_modes(self.stiffness, self.rigid_modes)
         check_inertia(self.mass, self.stiffness, self.rigid_modes)
+        if self.cyclic is not None:
+            self._check_cyclic()
 
     __setstate__ = refreeze
 
     def __repr__(self) -> str:
-        return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {self.rigid_modes.shape[1]} rigid modes)"
+        of = f", one of {self.cyclic.sectors} sectors" if self.cyclic else ""
+        rigid = self.rigid_modes.shape[1]
+        return f"ReducedModel({self.size} coordinates, {self.pairs} pairs, {rigid} rigid modes{of})"
+
+    def _check_cyclic(self) -> None:
+        if not isinstance(self.cyclic, CyclicSymmetry):
+            raise ModelError(f"cyclic = {shorten(self.cyclic)}; give a CyclicSymmetry, as close_ring makes it, or None")
+        if self.cyclic.size != self.size:
+            raise ModelError(
+                f"cyclic has matrices of {self.cyclic.size} coordinates, and the model {self.size}; give equal ones"
+            )
+        _check_symmetry("damping of a sector in a ring", self.damping)
+        for wave in {self.wave_of(1), self.cyclic.sectors // 2}:
+            _check_mass(self.matrix("mass", wave))
 
     @property
     def size(self) -> int:
@@ -175,6 +194,23 @@ class ReducedModel:
             return self.tangential[1::2]
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
 
+    def wave_of(self, harmonic: int) -> int:
+        """The wave in which the sectors of a ring move at a harmonic; 0 where there is no ring."""
+        return 0 if self.cyclic is None else self.cyclic.wave_of(harmonic)
+
+    def matrix(self, name: str, wave: int = 0) -> RealArray | ComplexArray:
+        """``"mass"``, ``"damping"`` or ``"stiffness"`` in a wave of the ring, ``(n, n)``: real in wave 0."""
+        return getattr(self, name) if wave == 0 else getattr(self, name) + self.cyclic.differ(name, wave)
+
+    def react(self, name: str, amplitudes: ComplexArray, orders: Sequence[int]) -> ComplexArray:
+        """Products of such a matrix with amplitudes ``(n_h, n)`` at harmonics ``orders``, each in its wave."""
+        product = amplitudes @ getattr(self, name).T
+        if self.cyclic is not None:
+            lag = np.array([self.cyclic.lag(self.wave_of(h)) - 1 for h in orders])[:, None]
+            coupling = getattr(self.cyclic, name)
+            product = product + lag * (amplitudes @ coupling.T) + lag.conj() * (amplitudes @ coupling)
+        return product
+
     @property
     def areas(self) -> RealArray:
         """``pair_area``, ``(K_c,)`` [m^2]; ones where none was given."""
@@ -191,6 +227,11 @@ class ReducedModel:
             for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:
                     file[name] = value
+            if self.cyclic is not None:
+                folder = file.create_group("cyclic")
+                folder.attrs.update(sectors=self.cyclic.sectors, engine_order=self.cyclic.engine_order)
+                for name in COUPLINGS:
+                    folder[name] = getattr(self.cyclic, name)
             for group, entries in (("load", self.load), ("outputs", self.outputs)):
                 folder = file.create_group(group)
                 for name, value in entries.items():
@@ -213,8 +254,12 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         if file.attrs.get("format") != _FORMAT:
             raise ModelError(f'{path}: format "{file.attrs.get("format")}", expected "{_FORMAT}"; write it with save()')
         arrays = {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        cyclic = None
+        if ring := file.get("cyclic"):
+            cyclic = CyclicSymmetry(**ring.attrs, **{name: ring[name][()] for name in COUPLINGS})
         return ReducedModel(
             **arrays,
+            cyclic=cyclic,
             load={int(h): f[()] for h, f in file["load"].items()},
             outputs={unquote(name): c[()] for name, c in file["outputs"].items()},
         )

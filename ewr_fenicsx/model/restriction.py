@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 _ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
@@ -22,6 +23,9 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
     """
     project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
+    cyclic = model.cyclic
+    if cyclic is not None:
+        cyclic = replace(cyclic, **{name: basis.T @ getattr(cyclic, name) @ basis for name in COUPLINGS})
     return replace(
         model,
         mass=symmetric(_project(model.mass, basis)),
@@ -32,6 +36,7 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
         load={h: basis.T @ f for h, f in model.load.items()},
         outputs={name: basis.T @ c for name, c in model.outputs.items()},
         rigid_modes=basis.T @ rigid_modes,
+        cyclic=cyclic,
     )
 
 

@@ -13,8 +13,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import boundary_facets
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.facing import find_body_of_cells, find_cells_beside, number_faces
-from ewr_fenicsx.structure.mesh import JointMesh
+from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside, number_faces
 
 SHARP = 35.0  # degrees between two faces, from which the edge between them is part of the outline
 

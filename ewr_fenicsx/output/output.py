@@ -128,9 +128,11 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
     steps = STEPS if np.any(solution.coordinates[np.array(solution.orders) > 0]) else 1
     times = np.arange(steps) / (steps * (solution.problem.frequency or 1.0))
     phase = np.exp(2j * np.pi * np.outer(np.arange(steps), solution.orders) / steps)
-    coordinates = (phase @ solution.coordinates).real
+    ring, orders = solution.problem.model.cyclic, solution.orders
+    lags = np.array([ring.lag(ring.wave_of(h)) if ring else 1.0 for h in orders])
+    own, following = ((phase * lag @ solution.coordinates).real for lag in (1.0, lags))
     to_nodes = node_interpolation(chain.structure.space)
-    frames = (to_nodes(chain.reduction.expand(x)) for x in coordinates)
+    frames = (to_nodes(chain.reduction.expand(*x)) for x in zip(own, following, strict=True))
     write_series(folder / "displacement.xdmf", domain, times, frames)
     for name, values in contact_fields(interface, solution, steps).items():
         spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)

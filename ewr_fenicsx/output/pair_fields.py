@@ -12,7 +12,7 @@ from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import boundary_facets, has_idle_corners, local_to_global
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.facing import find_cells_beside, number_faces
+from ewr_fenicsx.structure.mesh import find_cells_beside, number_faces
 
 
 def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:

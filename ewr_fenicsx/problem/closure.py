@@ -13,7 +13,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.model.compliance import find_normal_modes, receptance
+from ewr_fenicsx.model.receptance import find_normal_modes, receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 Closure = Literal["mass", "dashpot", "spring"]

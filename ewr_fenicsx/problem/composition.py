@@ -15,7 +15,8 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.contact_laws import ContactLaws
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, PairGroup, choose_friction_weight, spread_over_pairs
-from ewr_fenicsx.model.compliance import DynamicCompliance, GeneralisedInverse, condense, measure_resistance
+from ewr_fenicsx.model.compliance import DynamicCompliance, condense
+from ewr_fenicsx.model.receptance import GeneralisedInverse, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.statics import takes_friction
 from ewr_fenicsx.problem.closure import find_masses, find_own_springs, find_springs

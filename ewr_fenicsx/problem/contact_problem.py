@@ -15,7 +15,7 @@ from ewr_fenicsx.errors import ModelError, name_pairs, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, keep, point_at, read_numbers, refreeze
 from ewr_fenicsx.laws.contact_laws import ContactLaws, JointLaws
 from ewr_fenicsx.laws.law_kinds import is_own, spread_over_pairs
-from ewr_fenicsx.model.compliance import GeneralisedInverse
+from ewr_fenicsx.model.receptance import GeneralisedInverse
 from ewr_fenicsx.model.reduced_model import ReducedModel, check_loads
 from ewr_fenicsx.problem.closure import Closure
 from ewr_fenicsx.problem.composition import compose

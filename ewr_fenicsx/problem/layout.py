@@ -16,7 +16,7 @@ import scipy.linalg
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
-from ewr_fenicsx.model.compliance import receptance
+from ewr_fenicsx.model.receptance import receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.restriction import restrict
 

@@ -35,6 +35,7 @@ from ewr_fenicsx.scene.scene_joint import Contact, Flank
 from ewr_fenicsx.scene.scene_sense import find_contradictions, find_doubts
 from ewr_fenicsx.scene.scene_structure import (
     HIGHEST_HARMONIC,
+    Cyclic,
     Damping,
     Elasticity,
     Geometry,
@@ -210,6 +211,7 @@ class Scene(Section):
     materials: dict[str, Material] = Field({}, description="Material by body; Ti-6Al-4V where a body is not named.")
     damping: Damping = section(RatioDamping, "Viscous damping of the structure.")
     supports: Supports = section(Supports, "Where bodies are held.")
+    cyclic: Cyclic | None = Field(None, description="The ring of which the mesh is a sector; none where it is missing.")
     loads: dict[str, Load] = Field(min_length=1, description="Loads by name.")
     outputs: dict[str, Output] = Field({}, description="Displacements to follow, by name.")
     contact: Contact = section(Contact, "The joint and its laws.")

@@ -37,6 +37,7 @@ def find_contradictions(scene: Scene) -> Iterator[str]:
     yield from _check_harmonics(scene)
     yield from _check_supports(scene)
     yield from _check_accuracy(scene)
+    yield from _check_ring(scene)
     yield from _check_excitation(scene)
     yield from _check_laws(scene)
     yield from _check_wear(scene)
@@ -295,6 +296,17 @@ def _check_supports(scene: Scene) -> Iterator[str]:
             else:
                 continue
             yield f'{table}.{name}.boundary = "{boundary}": {held}, so that {what}; name a boundary that is free'
+
+
+def _check_ring(scene: Scene) -> Iterator[str]:
+    supports, cuts = scene.supports, scene.cyclic.cuts if scene.cyclic else ()
+    named = {"supports.clamp": supports.clamp, "supports.hold": supports.hold, "contact.flanks": scene.contact.flanks}
+    named |= {f"loads.{name}.boundary": [getattr(load, "boundary", None)] for name, load in scene.loads.items()}
+    named |= {f"outputs.{name}.boundary": [output.boundary] for name, output in scene.outputs.items()}
+    for key, names in named.items():
+        for cut in cuts:
+            if cut in (names or ()):
+                yield f'{key}: "{cut}" is a cut of cyclic, where the next sector goes on; name another boundary'
 
 
 def _check_accuracy(scene: Scene) -> Iterator[str]:

@@ -119,6 +119,55 @@ class Supports(Section):
         return (*self.clamp, *self.hold)
 
 
+MOST_SECTORS = 1000
+
+
+class Cyclic(Section):
+    """The mesh is one of many equal sectors that form a ring, such as a bladed disk; the loads travel round it.
+
+    Each sector moves as the one before it did `engine_order / sectors` of a period ago: one of them is solved for all,
+    at its own cost. Static loads act on every sector alike. Sectors follow one another about `axis` in the sense of a
+    right hand, counter-clockwise in a plane.
+    """
+
+    sectors: Integer = entry(..., "-", "Number of sectors in the ring.", ge=2, le=MOST_SECTORS)
+    engine_order: int = entry(
+        ...,
+        "-",
+        "Waves of the load round the ring: harmonic 1 acts on the next sector `engine_order / sectors` of a period "
+        "later. Negative: it travels the other way; 0: all sectors are in phase.",
+        strict=True,
+    )
+    low: str = entry(..., "-", "Boundary where the sector is cut from the one before.")
+    high: str = entry(
+        ..., "-", "Boundary where it is cut from the next one: `low` turned by `360 / sectors` degrees, node by node."
+    )
+    centre: Vector = entry(
+        (0.0, 0.0), "m", "Where the axis meets the plane (x, y), of solids any point of it (x, y, z)."
+    )
+    axis: tuple[Number, Number, Number] = entry(
+        (0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter."
+    )
+
+    @field_validator("axis")
+    @classmethod
+    def check_axis(cls, axis: tuple[float, ...]) -> tuple[float, ...]:
+        return _refuse_zero(axis)
+
+    @model_validator(mode="after")
+    def check_cuts(self) -> Cyclic:
+        if self.low == self.high:
+            raise PydanticCustomError(
+                "cuts", 'low and high are both "{name}"; a sector has two cuts', {"name": self.low}
+            )
+        return self
+
+    @property
+    def cuts(self) -> tuple[str, str]:
+        """Both boundaries."""
+        return self.low, self.high
+
+
 class ForceLoad(Section):
     """A force spread evenly over a boundary, `force * cos(harmonic * omega t + phase)`."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
-from ewr_fenicsx.model.compliance import receptance
+from ewr_fenicsx.model.receptance import receptance
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
 
@@ -63,7 +63,8 @@ class PeriodicMotion:
         amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
         for j, h in enumerate(self.orders):
             force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
-            amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None])[:, 0]
+            wave = system.model.wave_of(h)
+            amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None], wave)[:, 0]
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
             modes = system.model.rigid_modes
@@ -244,12 +245,14 @@ class PeriodicMotion:
         """Forces in bonded pairs: what the equation of motion leaves over."""
         model = self.problem.model
         bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
+        elastic, viscous, inertial = (
+            model.react(name, self._rate**power * self.coordinates, self.orders)
+            for power, name in enumerate(("stiffness", "damping", "mass"))
+        )
         for j, h in enumerate(self.orders):
-            w = h * self.problem.omega
-            x = self.coordinates[j]
             known = [d for d in found if d != "normal" or model.normal is not None]
             given = self.problem.loads.get(h, 0) + sum(model.rows(d).T @ found[d][j] for d in known)
-            left = model.stiffness @ x - w**2 * (model.mass @ x) + 1j * w * (model.damping @ x) - given
+            left = elastic[j] + viscous[j] + inertial[j] - given
             force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
             start = 0
             for direction, pairs in held:

@@ -81,7 +81,7 @@ class PeriodicSolution(PeriodicMotion):
         gap, over those that may part [m]; RMS of outputs in their own units.
         """
         problem, model, count = self.problem, self.problem.model, self.problem.basis.samples
-        viscous = self._rate * (self.coordinates @ model.damping.T)
+        viscous = self._rate * model.react("damping", self.coordinates, self.orders)
         fine = max(FINE, count)
         gap, normal = self.history("gap", fine), self.history("normal_force", fine)
         friction, unilateral = problem.friction, problem.opens
@@ -159,8 +159,11 @@ class PeriodicSolution(PeriodicMotion):
         return walk if walk.slow else None
 
     def _list_unfollowed(self) -> list[str]:
-        """Where the largest multiplier is not looked for because of what a law of one's own sees."""
+        """Where the largest multiplier is not looked for: in a ring, or because of what a law of one's own sees."""
         looked_at = self.orders[-1] and self.problem.system.laws and not self.unstable
+        if looked_at and self.problem.model.cyclic and self._rubs_or_taps:
+            return ["stability is not looked at: whether motions in time leave the wave that travels round the ring "
+                    "shows in integrate(...) on unroll_ring(model)"]  # fmt: skip
         if not (self.problem.own_kinds and looked_at):
             return []
         here = self._forgetful
@@ -233,9 +236,11 @@ class PeriodicSolution(PeriodicMotion):
 
     def list_hit_modes(self) -> list[str]:
         """Where a harmonic hits a mode without damping: what is left of its dynamic stiffness there is rounding."""
-        model, x, rate = self.problem.model, self.coordinates, self._rate
-        strain, inertia = x @ model.stiffness.T, rate**2 * (x @ model.mass.T)
-        left, size = (np.linalg.norm(f, axis=1) for f in (strain + inertia + rate * (x @ model.damping.T), strain))
+        strain, drag, inertia = (
+            self._rate**power * self.problem.model.react(name, self.coordinates, self.orders)
+            for power, name in enumerate(("stiffness", "damping", "mass"))
+        )
+        left, size = (np.linalg.norm(forces, axis=1) for forces in (strain + inertia + drag, strain))
         return [
             f"harmonic {h} hits a mode without damping, and rounding decides how far it swings: add damping, or "
             "move the frequency"

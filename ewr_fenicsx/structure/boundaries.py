@@ -1,4 +1,4 @@
-"""Named boundaries of a mesh: their facets, integrals of shape functions over them, and the numbers of nodes there."""
+"""Named boundaries of a mesh: their facets, what faces what there, integrals over them, and the numbers of nodes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import dolfinx
 import numpy as np
 import ufl
 from petsc4py import PETSc
+from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import MeshError, nearest
 from ewr_fenicsx.structure import _compat
-from ewr_fenicsx.structure.facing import find_facing_bodies
-from ewr_fenicsx.structure.mesh import JointMesh
+from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside
 
 
 def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
@@ -56,6 +56,34 @@ def outer_facets(mesh: JointMesh, what: str, name: str, boundary: str) -> np.nda
             f"{' and '.join(bodies)}, and {each}; name a boundary of one body"
         )
     return facets
+
+
+def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | None = None) -> tuple[str, ...]:
+    """Names of two bodies that have exterior facets at the same place, face to face; none: ``()``. Collective.
+
+    Args:
+        mesh: With its bodies.
+        facets: Each rank's own, exterior ones.
+        piece: Number of the piece of the mesh that each of them is on, the same on all ranks; facets of one piece do
+            not count, and two pieces may be of the same body, whose name is then there twice. None: a body is a piece.
+    """
+    domain = mesh.domain
+    beside = find_cells_beside(mesh, facets)
+    tags = find_body_of_cells(mesh)[beside]
+    middle = dolfinx.mesh.compute_midpoints(domain, mesh.dimension - 1, facets)
+    outward = middle - dolfinx.mesh.compute_midpoints(domain, mesh.dimension, beside)
+    everyone = domain.comm.allgather((tags, tags if piece is None else piece, middle, outward))
+    body, piece, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
+    depth = np.linalg.norm(outward, axis=1)
+    for number in np.unique(piece)[1:]:
+        mine, others = np.flatnonzero(piece == number), np.flatnonzero(piece < number)
+        distance, partner = cKDTree(middle[others]).query(middle[mine])
+        there = others[partner]
+        opposed = np.sum(outward[mine] * outward[there], axis=1) < -0.5 * depth[mine] * depth[there]
+        if np.any(meet := opposed & (distance < depth[mine])):  # also across a gap that the mesh has
+            tags_there = body[mine[meet][0]], body[there[meet][0]]
+            return tuple(name for name, tag in mesh.bodies.items() for _ in range(tags_there.count(tag)))
+    return ()
 
 
 def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:

@@ -35,6 +35,7 @@ from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
 from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
 from ewr_fenicsx.structure.mesh import JointMesh, build_mesh, measure_extent
 from ewr_fenicsx.structure.reduction import CraigBampton, reduce_structure
+from ewr_fenicsx.structure.sector_cuts import Ring, find_cuts
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
 JIT = "JIT"  # compilation of forms and spaces
@@ -142,20 +143,22 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
+            elsewhere = [*scene.supports.boundaries, *(scene.cyclic.cuts if scene.cyclic else ())]
             interface = pair_interface(
                 structure,
                 contact.flanks,
                 body_a=contact.body_a,
                 body_b=contact.body_b,
                 tolerance=contact.pair_tolerance,
-                in_use=[*scene.supports.boundaries, *(getattr(entry, "boundary", None) for entry in followed)],
+                in_use=[*elsewhere, *(getattr(entry, "boundary", None) for entry in followed)],
             )
             joint = interface.flanks, contact.body_a, contact.body_b
             doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.boundaries))
+            cuts = find_cuts(structure, interface, _ring(scene, mesh.dimension)) if scene.cyclic else None
         check_flanks(scene, interface)
         check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
         with watch.stage("reduction"):
-            reduction = reduce_structure(structure, interface, modes=scene.reduction.modes)
+            reduction = reduce_structure(structure, interface, modes=scene.reduction.modes, cuts=cuts)
     modes = reduction.fixed_interface_frequencies
     doubts += tuple(doubt_closure(scene, mesh.dimension))
     doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
@@ -257,6 +260,8 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
     bodies |= {"contact.body_a": contact.body_a, "contact.body_b": contact.body_b}
     boundaries = {f"supports.clamp[{k}]": name for k, name in enumerate(scene.supports.clamp)}
     boundaries |= {f"supports.hold.{name}": name for name in scene.supports.hold}
+    if scene.cyclic:
+        boundaries |= {"cyclic.low": scene.cyclic.low, "cyclic.high": scene.cyclic.high}
     boundaries |= {f"contact.flanks[{k}]": name for k, name in enumerate(contact.flanks or ())}
     boundaries |= {
         f"{table}.{name}.boundary": entry.boundary
@@ -340,6 +345,18 @@ def _damping(scene: Scene) -> materials.Damping:
     if isinstance(damping, ModalDamping):
         return materials.PerMode(damping.ratio)
     return materials.RayleighRatios(damping.frequencies, damping.ratios)
+
+
+def _ring(scene: Scene, dimension: int) -> Ring:
+    asked = scene.cyclic
+    centre = asked.centre if "centre" in asked.model_fields_set else (0.0,) * dimension
+    if len(centre) != dimension:
+        raise SceneError(
+            f"{scene.where}: cyclic.centre = {list(centre)}: the mesh is {dimension}-D; give {dimension} components"
+        )
+    if dimension == 2 and any(asked.axis[:2]):
+        raise SceneError(f"{scene.where}: cyclic.axis = {list(asked.axis)}: a plane turns about an axis normal to it")
+    return Ring(asked.sectors, asked.engine_order, asked.low, asked.high, centre, asked.axis)
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

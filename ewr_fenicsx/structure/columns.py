@@ -1,4 +1,4 @@
-"""Dense columns beside sparse matrices: solved for and multiplied many at once, so that matrices are read but once."""
+"""Direct solves with sparse matrices; dense columns beside them, many at once, so that matrices are read but once."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from contextlib import contextmanager
 
 import numpy as np
 from petsc4py import PETSc
-
-from ewr_fenicsx.structure.modes import finding_memory, use_mumps
 
 _BLOCK = 32  # columns at once; more take more memory, and little less time
 
@@ -34,6 +32,28 @@ def factorise(matrix: PETSc.Mat) -> Callable[[np.ndarray], np.ndarray]:
         return responses
 
     return solve
+
+
+def use_mumps(solver: PETSc.KSP) -> None:
+    """Makes a Krylov solver a direct one."""
+    solver.setType(PETSc.KSP.Type.PREONLY)
+    solver.getPC().setType(PETSc.PC.Type.LU)
+    solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+
+
+@contextmanager
+def finding_memory(size: int) -> Iterator[None]:
+    """Around a factorisation of ``size`` rows: tells a lack of memory from a singular matrix.
+
+    Raises:
+        MemoryError: MUMPS could not allocate what it needs.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        if "INFOG(1)=-13" in str(error):
+            raise MemoryError(f"the factors of a matrix of {size} rows do not fit") from error
+        raise
 
 
 def multiply(matrix: PETSc.Mat, columns: np.ndarray) -> np.ndarray:

@@ -15,7 +15,8 @@ import scipy.sparse
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
-from ewr_fenicsx.structure import boundaries, elasticity, facing
+from ewr_fenicsx.structure import boundaries, elasticity
+from ewr_fenicsx.structure.mesh import find_body_of_cells, find_cells_beside
 from ewr_fenicsx.structure.pair_frames import measure_turn, turn_along_supports, turn_tangents
 
 STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
@@ -197,8 +198,8 @@ def _find_bodies_on(structure: elasticity.Structure, name: str) -> tuple[str, ..
     mesh.domain.topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
     outer = dolfinx.mesh.exterior_facet_indices(mesh.domain.topology)
     facets = np.intersect1d(mesh.facet_tags.find(mesh.boundaries[name]), outer).astype(np.int32)
-    nodes = [space.dofmap.cell_dofs(cell)[0] for cell in facing.find_cells_beside(mesh, facets)]
-    return facing.find_facing_bodies(mesh, facets, structure.part[boundaries.local_to_global(space, nodes)])
+    nodes = [space.dofmap.cell_dofs(cell)[0] for cell in find_cells_beside(mesh, facets)]
+    return boundaries.find_facing_bodies(mesh, facets, structure.part[boundaries.local_to_global(space, nodes)])
 
 
 def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str:
@@ -219,7 +220,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Sid
     facets = boundaries.boundary_facets(mesh, flank)
     domain.topology.create_connectivity(d - 1, d)
     cells_of = domain.topology.connectivity(d - 1, d)
-    in_body = facing.find_body_of_cells(mesh) == mesh.bodies[body]
+    in_body = find_body_of_cells(mesh) == mesh.bodies[body]
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
     size = boundaries.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]

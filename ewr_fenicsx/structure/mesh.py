@@ -73,6 +73,27 @@ def measure_extent(mesh: JointMesh) -> float:
     return float(of_all.sum(axis=0).max())
 
 
+def find_body_of_cells(mesh: JointMesh) -> np.ndarray:
+    """Tag of the body of every cell that this rank holds, ghosts included, ``(cells,)``."""
+    cells = mesh.domain.topology.index_map(mesh.dimension)
+    body = np.zeros(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    body[mesh.cell_tags.indices] = mesh.cell_tags.values
+    return body
+
+
+def number_faces(mesh: JointMesh, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Which of its cell's own faces each facet is, of the cells beside them."""
+    faces_of = mesh.domain.topology.connectivity(mesh.dimension, mesh.dimension - 1)
+    found = [np.flatnonzero(faces_of.links(c) == f)[0] for c, f in zip(cells, facets, strict=True)]
+    return np.array(found, dtype=np.int64)
+
+
+def find_cells_beside(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:
+    """Local number of the cell beside each exterior facet."""
+    cells_of = mesh.domain.topology.connectivity(mesh.dimension - 1, mesh.dimension)
+    return np.array([cells_of.links(f)[0] for f in facets], dtype=np.int32)
+
+
 def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -> JointMesh:
     """Build or read a mesh, check it, and distribute it.
 

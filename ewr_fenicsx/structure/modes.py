@@ -1,10 +1,9 @@
-"""Eigenpairs of sparse matrices by SLEPc, each with its residual checked; modes of the structure built on them."""
+"""Eigenpairs of sparse matrices by SLEPc, each with its residual checked; modes that are alike in every run."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +13,12 @@ from slepc4py import SLEPc
 
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.structure.boundaries import list_dofs
+from ewr_fenicsx.structure.columns import finding_memory, multiply, use_mumps
 from ewr_fenicsx.structure.elasticity import Structure, connect
 from ewr_fenicsx.structure.interface import Interface
 from ewr_fenicsx.structure.rigid_motions import find_free_motions
 
+_EQUAL = 1e-7  # relative distance of frequencies up to which rounding mixes their modes
 LARGEST_RESIDUAL = 1e-9  # of a mode, relative, unless rounding in ``K phi`` alone is larger
 
 
@@ -147,6 +148,43 @@ def full_stick_modes(structure: Structure, interface: Interface, count: int) -> 
     return Modes(modes.frequency, vectors, modes.residual)
 
 
+def group_equal(frequency: np.ndarray, known: np.ndarray | None = None) -> list[np.ndarray]:
+    """Places of modes that share a frequency with others, group by group.
+
+    Args:
+        frequency: ``(m,)`` [Hz], rising.
+        known: ``(m,)``, which modes stay as they are and are in no group; None: none.
+    """
+    places = np.arange(len(frequency)) if known is None else np.flatnonzero(~known)
+    wide = np.diff(frequency[places]) > _EQUAL * np.abs(frequency[places][1:])
+    return [group for group in np.split(places, np.flatnonzero(wide) + 1) if len(group) > 1]
+
+
+def orient_modes(basis: np.ndarray, contacts: int, groups: list[np.ndarray], mass: PETSc.Mat) -> None:
+    """Turns the modes in a basis by their inertial coupling with the contact nodes, whatever the numbering; collective.
+
+    A mode by itself has a positive one with a pattern of the contact nodes' motion. Of m modes that share a
+    frequency, any orthogonal mixture is as good: the second one has none with the first pattern, and so on.
+
+    Args:
+        basis: This rank's rows ``(rows, n)``; its modes are changed.
+        contacts: Number of its first columns, which are no modes.
+        groups: Places of modes that share a frequency, counted from the first mode.
+        mass: Of all rows.
+    """
+    modes = basis[:, contacts:]
+    phase = np.outer(np.arange(1, contacts + 1), np.arange(1, 1 + max(map(len, groups), default=1)))
+    # weights that no symmetry of a geometry makes cancel
+    inertia = multiply(mass, basis[:, :contacts] @ np.cos(phase))
+    coupling = mass.comm.tompi4py().allreduce(modes.T @ inertia)
+    signs = np.where(coupling[:, 0] < 0, -1.0, 1.0)
+    for group in groups:
+        mixture, triangle = np.linalg.qr(coupling[group, : len(group)])
+        modes[:, group] = modes[:, group] @ mixture
+        signs[group] = np.where(np.diag(triangle) < 0, -1.0, 1.0)
+    modes *= signs
+
+
 def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
     """Sparse ``T`` with ``u = T y``: both nodes of each pair move as one and what is held does not move."""
     comm = structure.mass.comm.tompi4py()
@@ -166,28 +204,6 @@ def tie_pairs(structure: Structure, interface: Interface) -> PETSc.Mat:
             tie.setValue(row, np.searchsorted(columns, to), 1.0)
     tie.assemble()
     return tie
-
-
-def use_mumps(solver: PETSc.KSP) -> None:
-    """Makes a Krylov solver a direct one."""
-    solver.setType(PETSc.KSP.Type.PREONLY)
-    solver.getPC().setType(PETSc.PC.Type.LU)
-    solver.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-
-
-@contextmanager
-def finding_memory(size: int) -> Iterator[None]:
-    """Around a factorisation of ``size`` rows: tells a lack of memory from a singular matrix.
-
-    Raises:
-        MemoryError: MUMPS could not allocate what it needs.
-    """
-    try:
-        yield
-    except PETSc.Error as error:
-        if "INFOG(1)=-13" in str(error):
-            raise MemoryError(f"the factors of a matrix of {size} rows do not fit") from error
-        raise
 
 
 def _measure_modes(

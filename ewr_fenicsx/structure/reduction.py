@@ -2,7 +2,8 @@
 
 Craig-Bampton with every contact degree of freedom on the boundary. The basis holds, column by column: the constraint
 modes of the contact degrees of freedom (whose coordinates are the physical displacements), the lowest fixed-interface
-modes, and the static response to each load with the interface held, which makes the static state exact.
+modes, and the static response to each load with the interface held, which makes the static state exact. Of a sector of
+a ring both cuts are on the boundary, too, and the ring is closed on the reduced matrices: one basis serves all waves.
 
 Source: Craig & Bampton (1968), doi:10.2514/3.4741.
 """
@@ -29,9 +30,10 @@ from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.columns import blocks, factorise, multiply, stack_columns
 from ewr_fenicsx.structure.elasticity import Structure
 from ewr_fenicsx.structure.interface import Interface
-from ewr_fenicsx.structure.modes import Modes, full_stick_modes, solve_modes
-from ewr_fenicsx.structure.orientation import group_equal, orient_modes
+from ewr_fenicsx.structure.modes import Modes, full_stick_modes, group_equal, orient_modes, solve_modes
+from ewr_fenicsx.structure.projection import project, solve_stuck
 from ewr_fenicsx.structure.rigid_motions import find_rigid_motions
+from ewr_fenicsx.structure.sector_cuts import SectorCuts, list_boundary
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
 _FULL_STICK_MODES = 6  # kept for pictures and reports
@@ -44,12 +46,16 @@ class CraigBampton:
     Attributes:
         model: For the contact solver; the same on every rank.
         basis: This rank's rows of the basis, ``(owned dofs, n)``, column after column; rows that are held are zero. By
-            far the largest array of all.
+            far the largest array of all. Of a sector it has a column for the high cut as well, where the next sector's
+            coordinates tell the motion: after those of the low cut.
         interface: The pairs.
         fixed_interface_frequencies: ``(m,)`` [Hz].
-        full_stick: Lowest modes of the bonded joint, from the sparse matrices.
+        full_stick: Lowest modes of the bonded joint, from the sparse matrices; of a ring in the wave of harmonic 1,
+            from the reduced ones, at an instant.
         contact_dofs: Global numbers of the degrees of freedom that the first coordinates are, ``(n_c,)``.
         structure: What was reduced.
+        cuts: Of a sector of a ring, ``k`` degrees of freedom on each: the low ones are the next coordinates. None: no
+            ring.
     """
 
     model: ReducedModel
@@ -59,11 +65,23 @@ class CraigBampton:
     full_stick: Modes
     contact_dofs: np.ndarray
     structure: Structure
+    cuts: SectorCuts | None = None
+
+    @property
+    def boundary_dofs(self) -> np.ndarray:
+        """Global numbers of the degrees of freedom that the first columns of the basis are."""
+        return list_boundary(self.contact_dofs, self.cuts)
+
+    @property
+    def low_coordinates(self) -> slice:
+        """Coordinates of the model that are displacements of the low cut; none without a ring."""
+        first = len(self.contact_dofs)
+        return slice(first, first + (len(self.cuts.low) if self.cuts else 0))
 
     @property
     def modal_coordinates(self) -> range:
         """Coordinates of the model that are fixed-interface modes, by rising frequency."""
-        first = len(self.contact_dofs)
+        first = self.low_coordinates.stop
         return range(first, first + len(self.fixed_interface_frequencies))
 
     @property
@@ -74,16 +92,16 @@ class CraigBampton:
     @property
     def most_modes(self) -> int:
         """How many fixed-interface modes there are."""
-        return self.structure.mass.getSize()[0] - len(self.structure.fixed) - len(self.contact_dofs)
+        return self.structure.mass.getSize()[0] - len(self.structure.fixed) - len(self.boundary_dofs)
 
     @property
     def full_stick_ratio(self) -> float:
         """Ratio of critical damping of the lowest mode of the bonded joint."""
-        model = self.model
-        squares, shapes = _solve_stuck(model.mass, model.stiffness, np.vstack([model.normal, model.tangential]))
+        model, wave = self.model, self.model.wave_of(1)
+        squares, shapes = solve_stuck(model, wave)
         omega = 2 * np.pi * self.full_stick.frequency[0]
         shape = shapes[:, np.argmin(np.abs(squares - omega**2))]
-        return float(shape @ model.damping @ shape / (2 * omega))
+        return float((shape.conj() @ model.matrix("damping", wave) @ shape).real / (2 * omega))
 
     @property
     def rigid_drag(self) -> float:
@@ -94,15 +112,24 @@ class CraigBampton:
         damping, mass = (rigid.T @ matrix @ rigid for matrix in (self.model.damping, self.model.mass))
         return float(scipy.linalg.eigh(damping, mass, eigvals_only=True)[-1])
 
-    def expand(self, x: np.ndarray) -> dolfinx.fem.Function:
-        """The displacement field [m] of real reduced coordinates ``(n,)``."""
+    def expand(self, x: np.ndarray, x_next: np.ndarray | None = None) -> dolfinx.fem.Function:
+        """The displacement field [m] of real reduced coordinates ``(n,)``, of a ring also of the next sector's."""
         field = dolfinx.fem.Function(self.structure.space)
-        field.x.array[: self.basis.shape[0]] = self.basis @ x
+        field.x.array[: self.basis.shape[0]] = self.basis @ self.join_next(x, x_next)
         field.x.scatter_forward()
         return field
 
+    def join_next(self, x: np.ndarray, x_next: np.ndarray | None) -> np.ndarray:
+        """Coordinates of the basis: the model's ``(n,)``, and of a ring the high cut's, by the next sector's."""
+        if self.cuts is None:
+            return x
+        at = self.low_coordinates
+        return np.concatenate([x[: at.stop], self.cuts.turn @ x_next[at], x[at.stop :]])
 
-def reduce_structure(structure: Structure, interface: Interface, *, modes: int = 30) -> CraigBampton:
+
+def reduce_structure(
+    structure: Structure, interface: Interface, *, modes: int = 30, cuts: SectorCuts | None = None
+) -> CraigBampton:
     """Reduces a structure to its contact degrees of freedom, a few modes and the static responses to its loads.
 
     Args:
@@ -110,6 +137,7 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
         interface: Pairs of contact nodes.
         modes: Number of fixed-interface modes. With the default the joint compliance of the default fir tree is within
             1e-4 of the full model's up to five times its first full-stick frequency.
+        cuts: Of a sector of a ring; None: it is the whole structure.
 
     Raises:
         InterfaceError: So many pairs that the machine has not the memory.
@@ -120,25 +148,30 @@ def reduce_structure(structure: Structure, interface: Interface, *, modes: int =
     first = structure.mass.getOwnershipRange()[0]
     contact = _contact_dofs(interface, structure.fixed)
     find_rigid_motions(structure, interface, contact)  # refuses what floats, before a singular matrix is factorised
-    columns = len(contact) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
+    boundary = list_boundary(contact, cuts)
+    columns = len(boundary) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
     _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), columns, len(interface.area))
-    interior = _cut_interior(structure, contact)
+    interior = _cut_interior(structure, boundary)
     found = solve_modes(interior.stiffness, interior.mass, modes)
     _compat.free_matrices(structure.mass.comm)  # before the wide basis takes its memory
-    coupling = _couple_contact(structure, interior, contact)
+    coupling = _couple_boundary(structure, interior, boundary)
     solve = factorise(interior.stiffness)
     forces = [load.vector.array[interior.dofs - first] for load in structure.loads]
     responses = solve(stack_columns(forces, len(interior.dofs)))
-    constraint = (solve(-coupling[:, block].toarray(order="F")) for block in blocks(len(contact)))
+    constraint = (solve(-coupling[:, block].toarray(order="F")) for block in blocks(len(boundary)))
     shapes = stack_columns([vector.array for vector in found.vectors], len(interior.dofs))
-    basis = _compose_basis(structure, interior, contact, constraint, shapes, responses, group_equal(found.frequency))
+    basis = _compose_basis(structure, interior, boundary, constraint, shapes, responses, group_equal(found.frequency))
     del solve, constraint
     _compat.free_matrices(structure.mass.comm)  # the factors among them
-    model = _project(structure, interface, basis, contact)
-    full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
+    model = project(structure, interface, basis, contact, cuts)
+    if cuts is None:
+        full_stick = full_stick_modes(structure, interface, _FULL_STICK_MODES)
+    else:
+        full_stick = Modes(np.zeros(0), [], np.zeros(0))
     del interior
     _compat.free_matrices(structure.mass.comm)
-    return CraigBampton(model, basis, interface, found.frequency, full_stick, contact, structure)
+    reduction = CraigBampton(model, basis, interface, found.frequency, full_stick, contact, structure, cuts)
+    return reduction if cuts is None else replace(reduction, full_stick=_stick_in_wave(reduction))
 
 
 def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
@@ -151,14 +184,14 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
     Raises:
         ModesError: So many modes there are not, or they did not converge.
     """
-    structure, contact = reduction.structure, reduction.contact_dofs
-    known = reduction.modal_coordinates
+    structure, boundary = reduction.structure, reduction.boundary_dofs
+    known = range(len(boundary), len(boundary) + len(reduction.fixed_interface_frequencies))  # of the basis
     if not len(known) < modes <= reduction.most_modes:
         raise ModesError(f"{modes} modes asked for; give more than the {len(known)} there are, at most "
                          f"{reduction.most_modes}, as many as the interior has degrees of freedom")  # fmt: skip
-    interior = _cut_interior(structure, contact)
+    interior = _cut_interior(structure, boundary)
     here = interior.dofs - structure.mass.getOwnershipRange()[0]
-    constraint = (reduction.basis[here, block] for block in blocks(len(contact)))
+    constraint = (reduction.basis[here, block] for block in blocks(len(boundary)))
     shapes, loads = reduction.basis[here, known.start : known.stop], reduction.basis[here, known.stop :]
     vectors = []
     for shape in shapes.T:
@@ -170,16 +203,31 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
     shapes = stack_columns([*shapes.T, *(vector.array for vector in found.vectors)], len(here))[:, rising]
     # what the load responses had outside the modes there were is all that can lie outside more of them
     equal = group_equal(frequencies[rising], known=rising < len(known))  # those that there were stay as they are
-    basis = _compose_basis(structure, interior, contact, constraint, shapes, loads, equal)
-    model = _project(structure, reduction.interface, basis, contact)
+    basis = _compose_basis(structure, interior, boundary, constraint, shapes, loads, equal)
+    model = project(structure, reduction.interface, basis, reduction.contact_dofs, reduction.cuts)
     del interior, vectors
     _compat.free_matrices(structure.mass.comm)
     return replace(reduction, model=model, basis=basis, fixed_interface_frequencies=frequencies[rising])
 
 
+def _stick_in_wave(reduction: CraigBampton) -> Modes:
+    """Lowest modes of full stick in the wave of harmonic 1: what a sector shows at the instant when it moves most."""
+    model, structure = reduction.model, reduction.structure
+    wave = model.wave_of(1)
+    squares, shapes = (part[..., :_FULL_STICK_MODES] for part in solve_stuck(model, wave))
+    vectors = []
+    for shape in shapes.T:
+        shape = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))  # the largest real part
+        vectors.append(structure.mass.createVecRight())
+        joined = reduction.join_next(shape.real, (model.cyclic.lag(wave) * shape).real)
+        vectors[-1].array[:] = reduction.basis @ joined
+    frequencies = np.sqrt(np.abs(squares)) / (2 * np.pi)
+    return Modes(np.copysign(frequencies, squares), vectors, np.full(len(vectors), np.nan))
+
+
 @dataclass(frozen=True)
 class _Interior:
-    """What is neither held nor in contact: this rank's rows, those of its contact dofs, and sparse matrices."""
+    """What is neither held nor on the boundary: this rank's rows, those of its boundary, and sparse matrices."""
 
     dofs: np.ndarray
     rows: PETSc.IS  # the same, as PETSc takes them
@@ -199,27 +247,27 @@ def _check_memory(rows: int, columns: int, pairs: int) -> None:
         )
 
 
-def _cut_interior(structure: Structure, contact: np.ndarray) -> _Interior:
+def _cut_interior(structure: Structure, boundary: np.ndarray) -> _Interior:
     first, last = structure.mass.getOwnershipRange()
-    boundary = np.sort(contact[(contact >= first) & (contact < last)])
-    dofs = np.setdiff1d(np.arange(first, last), np.concatenate([boundary, structure.fixed_dofs]))
+    mine = np.sort(boundary[(boundary >= first) & (boundary < last)])
+    dofs = np.setdiff1d(np.arange(first, last), np.concatenate([mine, structure.fixed_dofs]))
     rows = PETSc.IS().createGeneral(dofs.astype(np.int32), comm=structure.mass.comm)
     matrices = (matrix.createSubMatrix(rows, rows) for matrix in (structure.stiffness, structure.mass))
-    return _Interior(dofs, rows, boundary, *matrices)
+    return _Interior(dofs, rows, mine, *matrices)
 
 
-def _couple_contact(structure: Structure, interior: _Interior, contact: np.ndarray) -> scipy.sparse.csr_matrix:
-    """This rank's rows of the stiffness between interior and contact degrees of freedom, ``(rows, n_c)``."""
-    boundary = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
-    starts, columns, values = structure.stiffness.createSubMatrix(interior.rows, boundary).getValuesCSR()
-    place = np.argsort(contact)[columns]  # the columns are sorted by number, on each rank and from rank to rank
-    return scipy.sparse.csr_matrix((values, place, starts), shape=(len(interior.dofs), len(contact)))
+def _couple_boundary(structure: Structure, interior: _Interior, boundary: np.ndarray) -> scipy.sparse.csr_matrix:
+    """This rank's rows of the stiffness between interior and boundary degrees of freedom, ``(rows, n_b)``."""
+    mine = PETSc.IS().createGeneral(interior.boundary.astype(np.int32), comm=structure.mass.comm)
+    starts, columns, values = structure.stiffness.createSubMatrix(interior.rows, mine).getValuesCSR()
+    place = np.argsort(boundary)[columns]  # the columns are sorted by number, on each rank and from rank to rank
+    return scipy.sparse.csr_matrix((values, place, starts), shape=(len(interior.dofs), len(boundary)))
 
 
 def _compose_basis(
     structure: Structure,
     interior: _Interior,
-    contact: np.ndarray,
+    boundary: np.ndarray,
     constraint: Iterable[np.ndarray],
     shapes: np.ndarray,
     responses: np.ndarray,
@@ -230,7 +278,7 @@ def _compose_basis(
     Args:
         structure: What is reduced.
         interior: Its interior.
-        contact: Numbers of the contact degrees of freedom.
+        boundary: Numbers of the degrees of freedom in contact and on cuts.
         constraint: Constraint modes in the interior, some columns at a time, so that they are in memory but once.
         shapes: Fixed-interface modes ``(rows, m)``, mass-orthonormal.
         responses: To loads, ``(rows, l)``.
@@ -238,14 +286,14 @@ def _compose_basis(
     """
     first, last = structure.mass.getOwnershipRange()
     rest = _residual_vectors(responses, shapes, interior.mass)
-    basis = np.zeros((last - first, len(contact) + shapes.shape[1] + rest.shape[1]), order="F")
+    basis = np.zeros((last - first, len(boundary) + shapes.shape[1] + rest.shape[1]), order="F")
     columns = itertools.chain.from_iterable(block.T for block in itertools.chain(constraint, (shapes, rest)))
     for k, column in enumerate(columns):
         basis[interior.dofs - first, k] = column
-    for k, dof in enumerate(contact):
+    for k, dof in enumerate(boundary):
         if first <= dof < last:
             basis[dof - first, k] = 1.0
-    orient_modes(basis, len(contact), equal, structure.mass)
+    orient_modes(basis, len(boundary), equal, structure.mass)
     return basis
 
 
@@ -270,104 +318,6 @@ def _residual_vectors(responses: np.ndarray, shapes: np.ndarray, mass: PETSc.Mat
     return basis[:, shapes.shape[1] :]
 
 
-def _project(structure: Structure, interface: Interface, basis: np.ndarray, contact: np.ndarray) -> ReducedModel:
-    comm = structure.mass.comm.tompi4py()
-    count, contacts = basis.shape[1], len(contact)
-
-    def rows(operator) -> np.ndarray:
-        return np.hstack([operator[:, contact].toarray(), np.zeros((operator.shape[0], count - contacts))])
-
-    mass, stiffness = _project_mass(structure, basis), _project_stiffness(structure, basis, contact)
-    damping = structure.rayleigh.alpha * mass + structure.rayleigh.beta * stiffness
-    normal, tangential = rows(interface.normal_gap), rows(interface.tangential_slip)
-    load: dict[int, np.ndarray] = {}
-    for entry in structure.loads:
-        amplitude = entry.amplitude * _sum(basis.T @ entry.vector.array, comm)
-        load[entry.harmonic] = load.get(entry.harmonic, 0) + amplitude
-    outputs = {name: _sum(basis.T @ row.array, comm) for name, row in structure.outputs.items()}
-    rigid = _rigid_motions(structure, interface, contact, count, stiffness)
-    if structure.modal_damping is not None:
-        held = np.vstack([normal, tangential])
-        damping = _damp_modes(mass, stiffness, held, rigid.shape[1], structure.modal_damping)
-    return ReducedModel(mass, damping, stiffness, normal, tangential, load, interface.area, rigid, outputs)
-
-
-def _project_mass(structure: Structure, basis: np.ndarray) -> np.ndarray:
-    count = basis.shape[1]
-    lower = np.zeros((count, count))
-    for block in blocks(count):
-        lower[block.start :, block] = basis[:, block.start :].T @ multiply(structure.mass, basis[:, block])
-    lower = np.tril(_sum(lower, structure.mass.comm.tompi4py()))
-    return lower + np.tril(lower, -1).T
-
-
-def _project_stiffness(structure: Structure, basis: np.ndarray, contact: np.ndarray) -> np.ndarray:
-    """The forces of constraint modes act where the other modes rest, at the contact degrees of freedom."""
-    first, last = structure.stiffness.getOwnershipRange()
-    count, contacts = basis.shape[1], len(contact)
-    mine = np.flatnonzero((contact >= first) & (contact < last))
-    reduced = np.zeros((count, count))
-    for block in blocks(contacts):
-        reduced[mine, block] = multiply(structure.stiffness, basis[:, block])[contact[mine] - first]
-    others = basis[:, contacts:]
-    reduced[contacts:, contacts:] = others.T @ multiply(structure.stiffness, others)
-    reduced = _sum(reduced, structure.stiffness.comm.tompi4py())
-    return 0.5 * (reduced + reduced.T)
-
-
-def _solve_stuck(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squared angular frequencies ``(k,)``, rising, and mass-normalised shapes ``(n, k)`` where rows ``held`` rest."""
-    stuck = scipy.linalg.null_space(held)
-    values, vectors = scipy.linalg.eigh(stuck.T @ stiffness @ stuck, stuck.T @ mass @ stuck)
-    return values, stuck @ vectors
-
-
-def _damp_modes(mass: np.ndarray, stiffness: np.ndarray, held: np.ndarray, floating: int, ratio: float) -> np.ndarray:
-    """Damping with a ratio for each mode of the open joint, and for the modes of full stick that hold floating bodies.
-
-    ``D = M Phi diag(2 ratio omega) Phi^T M`` with the mass-normalised modes Phi of the open joint, which span all
-    motions: modes of full stick alone would leave out those that it forbids, and overdamp them where the joint opens.
-    A mode of the joint held in any way then has at most this ratio, the root being concave (Jensen). Where the joint
-    holds ``floating`` rigid motions, which are not damped, it has far less: what the lowest as many modes of full stick
-    lack is added. That drags the rigid motions themselves, against the ground, and the lowest elastic modes of the open
-    joint have somewhat more than the ratio.
-
-    Args:
-        mass, stiffness: ``(n, n)``.
-        held: ``(m, n)`` rows of the joint.
-        floating: Number of rigid motions of the open joint.
-        ratio: Of critical damping.
-    """
-    values, vectors = scipy.linalg.eigh(stiffness, mass)
-    weighted = mass @ vectors
-    damping = (weighted * (2 * ratio * np.sqrt(np.maximum(values, 0)))) @ weighted.T
-    if floating:
-        values, shapes = (part[..., :floating] for part in _solve_stuck(mass, stiffness, held))
-        lack = np.diag(2 * ratio * np.sqrt(np.maximum(values, 0))) - shapes.T @ damping @ shapes
-        damping += mass @ shapes @ lack @ shapes.T @ mass
-    return 0.5 * (damping + damping.T)
-
-
-def _rigid_motions(
-    structure: Structure, interface: Interface, contact: np.ndarray, count: int, stiffness: np.ndarray
-) -> np.ndarray:
-    """``find_rigid_motions`` in the coordinates of the model, ``(n, r)``."""
-    rigid = find_rigid_motions(structure, interface, contact)
-    rigid = np.vstack([rigid, np.zeros((count - len(contact), rigid.shape[1]))])
-    force = np.abs(stiffness @ rigid).max(axis=0, initial=0) / np.abs(stiffness).max()
-    if (force > 1e-9).any():
-        raise ModesError(
-            f"a rigid motion of a floating body meets elastic forces ({force.max():.2g} of the stiffness): is its mesh "
-            "distorted, or so fine that rounding shows?"
-        )
-    return rigid
-
-
 def _inner(x: np.ndarray, y: np.ndarray, comm: MPI.Comm) -> float:
     with np.errstate(over="ignore", invalid="ignore"):  # of loads too large to square, which the model refuses
         return comm.allreduce(float(x @ y))
-
-
-def _sum(part: np.ndarray, comm: MPI.Comm) -> np.ndarray:
-    """Sum over the ranks, the same bits on each of them."""
-    return comm.bcast(comm.reduce(part))

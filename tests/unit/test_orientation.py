@@ -7,7 +7,7 @@ import pytest
 from petsc4py import PETSc
 from scipy.stats import ortho_group
 
-from ewr_fenicsx.structure.orientation import group_equal, orient_modes
+from ewr_fenicsx.structure.modes import group_equal, orient_modes
 
 CONTACTS, MODES, ROWS = 4, 6, 20
 

@@ -17,7 +17,9 @@ FOLDER = Path(ewr_fenicsx.__file__).parent
 # fmt: off
 ORDER = {
     "": ["errors", "given", "display", "progress", "task_sharing", "whole_files"],
-    "model": ["rigid_modes", "reduced_model", "restriction", "statics", "compliance"],
+    "model": [
+        "cyclic_symmetry", "rigid_modes", "reduced_model", "ring", "restriction", "receptance", "statics", "compliance",
+    ],
     "laws": [
         "law_kinds", "smoothing", "cone", "mean_friction", "unilateral", "bonded", "prescribed", "planar_coulomb",
         "sprung_coulomb", "inertial_coulomb", "coulomb", "contact_laws",
@@ -43,8 +45,8 @@ ORDER = {
         "effects",
     ],
     "structure": [
-        "_compat", "gmsh_inspection", "mesh", "materials", "facing", "boundaries", "elasticity", "pair_frames",
-        "interface", "rigid_motions", "modes", "columns", "orientation", "reduction", "chain",
+        "_compat", "gmsh_inspection", "mesh", "materials", "boundaries", "elasticity", "pair_frames", "interface",
+        "rigid_motions", "columns", "modes", "sector_cuts", "projection", "reduction", "chain",
     ],
     "output": [
         "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",
@@ -55,7 +57,7 @@ ORDER = {
 # fmt: on
 COMMANDS = ["cli", "__main__"]
 PLACES = [f"{folder}.{name}".lstrip(".") for folder, names in ORDER.items() for name in names] + COMMANDS
-CORE = PLACES[PLACES.index("model.rigid_modes") : PLACES.index("wear.wear") + 1]
+CORE = PLACES[PLACES.index("model.cyclic_symmetry") : PLACES.index("wear.wear") + 1]
 MODULES = sorted(
     ".".join(path.relative_to(FOLDER).with_suffix("").parts) for path in FOLDER.rglob("*.py") if path.stem != "__init__"
 )

@@ -1,0 +1,92 @@
+"""Cyclic symmetry: one sector of a ring of equal ones stands for all, each moving as the one before it did a while ago.
+
+A load that travels round the ring, of engine order ``E``, reaches each of ``N`` sectors ``E / N`` of a period after the
+one before, and so do the motions: at harmonic ``h`` the next sector has ``X_next = exp(-i h phi) X``, with
+``phi = 2 pi E / N``. That is wave ``h E modulo N``, of as many nodal diameters, or of ``N`` less as many. Where
+``A X + A_1 X_next + A_1^T X_before`` act on a sector, wave ``w`` sees the Hermitian matrix
+``A + z A_1 + conj(z) A_1^T`` with ``z = exp(-2 pi i w / N)``. In wave 0 all sectors move in phase, as under the mean
+load, whose wave it is.
+
+Source: Thomas (1979), Dynamics of rotationally periodic structures, doi:10.1002/nme.1620140106.
+"""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass
+from numbers import Integral
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers, refreeze
+
+COUPLINGS = ("mass", "damping", "stiffness")
+MOST_SECTORS = 1000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CyclicSymmetry:
+    """How a sector hangs together with its neighbours, and how fast the load travels round.
+
+    Args:
+        sectors: How many there are in the ring, 2 or more, counted in the direction in which the next one lies.
+        engine_order: How many waves of the load there are round the ring: at harmonic 1 each sector's load lags the one
+            before by ``engine_order / sectors`` of a period. Negative where it travels the other way.
+        mass, damping, stiffness: ``(n, n)`` real ``A_1``: what the next sector's motion does to this one
+            [kg, N s/m, N/m]; what the motion of the one before does is the transpose.
+
+    Raises:
+        ModelError: No whole numbers, fewer than 2 sectors, or couplings of different sizes or not finite.
+    """
+
+    sectors: int
+    engine_order: int
+    mass: RealArray
+    damping: RealArray
+    stiffness: RealArray
+
+    def __post_init__(self) -> None:
+        for name in ("sectors", "engine_order"):
+            value = getattr(self, name)
+            if not isinstance(value, Integral) or isinstance(value, bool):
+                raise ModelError(f"{name} = {value!r}; give a whole number")
+            object.__setattr__(self, name, int(value))
+        if not 2 <= self.sectors <= MOST_SECTORS:
+            raise ModelError(f"sectors = {self.sectors}; a ring has 2 to {MOST_SECTORS}")
+        for name in COUPLINGS:
+            matrix = read_numbers(f"{name} between sectors", getattr(self, name))
+            if matrix.ndim != 2 or len(set(matrix.shape)) != 1 or not np.isfinite(matrix).all():
+                raise ModelError(f"{name} between sectors has shape {matrix.shape}; give a finite square matrix")
+            object.__setattr__(self, name, keep(matrix))
+        if len(sizes := {getattr(self, name).shape for name in COUPLINGS}) > 1:
+            raise ModelError(f"mass, damping and stiffness between sectors have the shapes {sorted(sizes)}; give one")
+
+    __setstate__ = refreeze
+
+    def __repr__(self) -> str:
+        return f"CyclicSymmetry({self.sectors} sectors, engine order {self.engine_order})"
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates of a sector."""
+        return self.stiffness.shape[0]
+
+    def wave_of(self, harmonic: int) -> int:
+        """The wave in which the sectors move at a harmonic, 0 to ``sectors - 1``."""
+        return harmonic * self.engine_order % self.sectors
+
+    def lag(self, wave: int) -> complex:
+        """``X_next / X`` in a wave; exact where it is 1 or -1."""
+        if 2 * wave % self.sectors == 0:
+            return -1.0 if wave % self.sectors else 1.0
+        return cmath.exp(-2j * cmath.pi * wave / self.sectors)
+
+    def count_diameters(self, wave: int) -> int:
+        """Nodal diameters of a wave, 0 to half the sectors."""
+        return min(wave % self.sectors, -wave % self.sectors)
+
+    def differ(self, name: str, wave: int) -> ComplexArray:
+        """What a matrix has in a wave beyond what it has where all sectors are in phase, ``(n, n)`` Hermitian."""
+        part = (self.lag(wave) - 1) * getattr(self, name)
+        return part + part.conj().T

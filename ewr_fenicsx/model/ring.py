@@ -1,0 +1,154 @@
+"""Rings of equal sectors: one sector closed to a ring of them, and a ring unrolled into all its sectors.
+
+``close_ring`` makes a model of one sector that knows its neighbours (``cyclic_symmetry.py``), which costs what one
+sector does, however many there are. ``unroll_ring`` makes an ordinary model of all: for motions that are no travelling
+wave, as in time or where sectors differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.given import RealArray, read_numbers
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, CyclicSymmetry
+from ewr_fenicsx.model.reduced_model import ReducedModel
+
+LARGEST_RING = 8000  # coordinates of an unrolled model, three dense matrices of half a gigabyte each
+_APART = 1e-8  # motion of one cut beside the other's, over the largest of a rigid mode, below which it is rounding
+
+
+def close_ring(
+    sector: ReducedModel,
+    low: Sequence[int],
+    high: Sequence[int],
+    *,
+    sectors: int,
+    engine_order: int,
+    turn: RealArray | None = None,
+) -> ReducedModel:
+    """One sector of a ring, from a model of it that is free at both cuts.
+
+    Args:
+        sector: With the coordinates of both cuts among its own, as substructures from Abaqus or Ansys have them.
+        low: ``(k,)`` numbers of the coordinates at the cut to the sector before.
+        high: ``(k,)`` those at the cut to the next one, in the same order: ``high[i]`` is where the next one's
+            ``low[i]`` is. They are not among the coordinates of the result.
+        sectors, engine_order: As in ``CyclicSymmetry``.
+        turn: ``(k, k)`` with ``x[high] = turn @ x_next[low]``, each in its own sector's directions: a rotation of the
+            next one's vectors by ``2 pi / sectors``; None: equal, as in cylindrical coordinates.
+
+    Returns:
+        A model with ``n - k`` coordinates and ``cyclic`` set. Solve it as any other: its forces, motions and loads are
+        those of one sector, and the others' lag.
+
+    Raises:
+        ModelError: Coordinates that do not exist, repeat or do not match; a turn that is no rotation; a model that is
+            closed already; contact rows, outputs or loads but the mean one at the high cut; damping not symmetric.
+    """
+    if not isinstance(sector, ReducedModel) or sector.cyclic is not None:
+        raise ModelError("sector: give the ReducedModel of one sector that is free at its cuts, not closed already")
+    low, high, turn = _read_cuts(low, high, turn, sector.size)
+    _refuse_at_high_cut(sector, high)
+    kept = np.setdiff1d(np.arange(sector.size), high)
+    own = np.eye(sector.size)[:, kept]
+    following = np.zeros_like(own)
+    following[np.ix_(high, np.searchsorted(kept, low))] = turn
+    both = own + following
+    rigid = sector.rigid_modes
+    apart = (rigid[high] - turn @ rigid[low]) / np.abs(rigid).max(axis=0, initial=0.0)
+    _, sizes, mix = np.linalg.svd(apart)
+    matrices = {name: getattr(sector, name) for name in COUPLINGS}
+    return replace(
+        sector,
+        **{name: both.T @ matrix @ both for name, matrix in matrices.items()},
+        normal=None if sector.normal is None else sector.normal[:, kept],
+        tangential=None if sector.tangential is None else sector.tangential[:, kept],
+        load={h: both.T @ f for h, f in sector.load.items()},
+        outputs={name: row[kept] for name, row in sector.outputs.items()},
+        rigid_modes=(rigid @ mix[np.count_nonzero(sizes > _APART) :].T)[kept],
+        cyclic=CyclicSymmetry(
+            sectors, engine_order, **{name: own.T @ matrix @ following for name, matrix in matrices.items()}
+        ),
+    )
+
+
+def _read_cuts(low: object, high: object, turn: object, size: int) -> tuple[np.ndarray, np.ndarray, RealArray]:
+    cuts = []
+    for name, given in (("low", low), ("high", high)):
+        numbers = read_numbers(name, given).reshape(-1)
+        if not numbers.size or np.any(numbers != np.round(numbers)) or numbers.min() < 0 or numbers.max() >= size:
+            raise ModelError(f"{name}: give the numbers of coordinates, 0 to {size - 1}, at least one")
+        cuts.append(numbers.astype(int))
+    if len(cuts[0]) != len(cuts[1]):
+        raise ModelError(f"low has {len(cuts[0])} coordinates and high {len(cuts[1])}; give as many, in the same order")
+    named, count = np.unique(np.concatenate(cuts), return_counts=True)
+    if np.any(count > 1):
+        raise ModelError(f"coordinate {named[np.argmax(count)]} is named twice in low and high; give each once")
+    if turn is None:
+        return *cuts, np.eye(len(cuts[0]))
+    matrix = read_numbers("turn", turn)
+    expected = (len(cuts[0]),) * 2
+    if matrix.shape != expected or not np.allclose(matrix @ matrix.T, np.eye(len(matrix)), atol=1e-9):
+        raise ModelError(f"turn has shape {matrix.shape}; give {expected}, a rotation: turn @ turn.T is the identity")
+    return *cuts, matrix
+
+
+def _refuse_at_high_cut(sector: ReducedModel, high: np.ndarray) -> None:
+    """What would be of two sectors, with a lag between its parts."""
+    rows = [rows for rows in (sector.normal, sector.tangential) if rows is not None]
+    at_cut = {"contact rows": np.vstack(rows)}
+    at_cut |= {f'output "{name}"': row for name, row in sector.outputs.items()}
+    at_cut |= {f"load[{h}]": load for h, load in sector.load.items() if h}
+    if found := [name for name, values in at_cut.items() if np.any(values[..., high])]:
+        raise ModelError(
+            f"{', '.join(found)}: on coordinates of the high cut, which are the next sector's; move them to the low "
+            "cut or into the sector"
+        )
+
+
+def unroll_ring(model: ReducedModel) -> ReducedModel:
+    """All sectors of a ring as one ordinary model, sector by sector: coordinates, pairs, and loads that travel round.
+
+    Outputs ``name`` become ``name_0``, ``name_1`` and so on. ``integrate`` steps it in time, and a ring whose sectors
+    differ (mistuning) starts here.
+
+    Args:
+        model: As ``close_ring`` returns it, ``n`` coordinates.
+
+    Raises:
+        ModelError: No sector of a ring, or more than ``LARGEST_RING`` coordinates in all.
+    """
+    ring = model.cyclic if isinstance(model, ReducedModel) else None
+    if ring is None:
+        raise ModelError("model: give a sector of a ring, as close_ring makes it")
+    count = ring.sectors
+    if count * model.size > LARGEST_RING:
+        raise ModelError(
+            f"{count} sectors with {model.size} coordinates each are {count * model.size}, more than {LARGEST_RING}; "
+            "keep fewer modes or pairs"
+        )
+    alone, to_next = np.eye(count), np.roll(np.eye(count), 1, axis=1)
+
+    def spread(name: str) -> RealArray:
+        coupling = getattr(ring, name)
+        own = getattr(model, name) - coupling - coupling.T
+        return np.kron(alone, own) + np.kron(to_next, coupling) + np.kron(to_next.T, coupling.T)
+
+    repeat = lambda rows: None if rows is None else np.kron(alone, rows)  # noqa: E731
+    independent = not np.any(ring.stiffness.T @ model.rigid_modes) and not np.any(ring.stiffness @ model.rigid_modes)
+    return ReducedModel(
+        **{name: spread(name) for name in COUPLINGS},
+        normal=repeat(model.normal),
+        tangential=repeat(model.tangential),
+        load={
+            h: np.concatenate([ring.lag(j * ring.wave_of(h)) * load for j in range(count)])
+            for h, load in model.load.items()
+        },
+        pair_area=None if model.pair_area is None else np.tile(model.pair_area, count),
+        rigid_modes=repeat(model.rigid_modes) if independent else None,
+        outputs={f"{name}_{j}": np.kron(alone[j], row) for name, row in model.outputs.items() for j in range(count)},
+    )
