@@ -62,9 +62,12 @@ def close_ring(
     apart = (rigid[high] - turn @ rigid[low]) / np.abs(rigid).max(axis=0, initial=0.0)
     _, sizes, mix = np.linalg.svd(apart)
     matrices = {name: getattr(sector, name) for name in COUPLINGS}
+    in_phase = {name: both.T @ matrix @ both for name, matrix in matrices.items()}
+    for name in ("mass", "stiffness"):
+        in_phase[name] = 0.5 * (in_phase[name] + in_phase[name].T)
     return replace(
         sector,
-        **{name: both.T @ matrix @ both for name, matrix in matrices.items()},
+        **in_phase,
         normal=None if sector.normal is None else sector.normal[:, kept],
         tangential=None if sector.tangential is None else sector.tangential[:, kept],
         load={h: both.T @ f for h, f in sector.load.items()},

@@ -15,6 +15,7 @@ from ewr_fenicsx.structure.boundaries import boundary_facets
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside, number_faces
 
+SAME = 1e-10  # distance of corners at one place, over the extent of a mesh, that rounding may leave
 SHARP = 35.0  # degrees between two faces, from which the edge between them is part of the outline
 
 
@@ -52,8 +53,8 @@ class Cells:
         Of the normals beside an edge, turned until both faces go round alike, one stands alone where the body ends, and
         two differ by ``2 sin(angle / 2)``.
         """
-        edges = np.stack([self.corners, np.roll(self.corners, -1, axis=1)], axis=2)
-        keys = np.round(edges / (1e-9 * self.scale)) @ np.pi ** np.arange(edges.shape[3])
+        number = self._number_corners()
+        keys = np.stack([number, np.roll(number, -1, axis=1)], axis=2)
         body = np.broadcast_to(self.body[:, None], keys.shape[:2])
         _, first, number = np.unique(
             np.column_stack([np.sort(keys, axis=2).reshape(-1, 2), body.ravel()]),
@@ -68,6 +69,15 @@ class Cells:
         moved = self.corners + displaced * self.values
         edges = np.stack([moved, np.roll(moved, -1, axis=1)], axis=2)
         return edges.reshape(-1, *edges.shape[2:])[first[drawn]]
+
+    def _number_corners(self) -> np.ndarray:
+        """One number ``(n, 3 or 4)`` for all corners at one place, told apart along a direction that no mesh has."""
+        along = self.corners @ np.pi ** np.arange(self.corners.shape[2])
+        order = np.argsort(along, axis=None)
+        apart = np.diff(along.ravel()[order]) > SAME * self.scale
+        numbers = np.empty(along.size, dtype=int)
+        numbers[order] = np.concatenate([[0], np.cumsum(apart)])
+        return numbers.reshape(along.shape)
 
 
 Interpolation = Callable[[dolfinx.fem.Function], dolfinx.fem.Function]

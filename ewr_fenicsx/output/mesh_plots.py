@@ -1,4 +1,4 @@
-"""Pictures of a plane mesh, with its joint and loads, and of the first full-stick mode.
+"""Pictures of a plane mesh, with its joint and loads, and of motions such as the first full-stick mode.
 
 The mesh is gathered on rank 0, which draws; the other ranks only take part in the gathering. What these pictures have
 in common with those of solids (``solid_plots.py``) is in public functions, for two and three dimensions.
@@ -97,9 +97,8 @@ def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]
     return figure, whole, joint
 
 
-def draw_mode(path: Path, chain: Chain) -> None:
-    """Shape of the first full-stick mode, over the undeformed outline; collective."""
-    cells = gather_mode(chain)
+def draw_motion(path: Path, cells: Cells | None, title: str) -> None:
+    """A displaced shape, as ``gather_mode`` has it, over the undeformed outline; ranks without cells draw nothing."""
     if cells is None:
         return
     size = np.linalg.norm(cells.values, axis=2)
@@ -118,7 +117,7 @@ def draw_mode(path: Path, chain: Chain) -> None:
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
-    caption_mode(figure, colours, chain, ax=axes, shrink=0.7)
+    caption_motion(figure, colours, title, ax=axes, shrink=0.7)
     save_picture(figure, path, dpi=DPI)
 
 
@@ -134,10 +133,11 @@ def choose_body_colours(cells: Cells) -> dict[int, str]:
 
 
 def gather_edges(chain: Chain) -> dict[str, RealArray | None]:
-    """Nodes of the boundaries that are held or loaded by a force, on rank 0; collective."""
+    """Nodes of the boundaries that are held, cut or loaded by a force, on rank 0; collective."""
     scene = chain.scene
     loaded = (load.boundary for load in scene.loads.values() if load.kind == "force")
-    return {name: gather_boundary(chain, name) for name in sorted({*scene.supports.boundaries, *loaded})}
+    cuts = scene.cyclic.cuts if scene.cyclic else ()
+    return {name: gather_boundary(chain, name) for name in sorted({*scene.supports.boundaries, *cuts, *loaded})}
 
 
 def gather_mode(chain: Chain) -> Cells | None:
@@ -147,10 +147,17 @@ def gather_mode(chain: Chain) -> Cells | None:
     shape.x.array[: owned.size] = owned
     shape.x.scatter_forward()
     cells = gather_cells(chain, shape)
-    if cells is None:
-        return None
-    stretch = LARGEST_MOTION * cells.scale / np.linalg.norm(cells.values, axis=2).max()
-    return replace(cells, values=stretch * cells.values)
+    return cells if cells is None else replace(cells, values=stretch(cells))
+
+
+def stretch(cells: Cells) -> RealArray:
+    """Displacements at the corners, as large as they are drawn."""
+    return LARGEST_MOTION * cells.scale / np.linalg.norm(cells.values, axis=2).max() * cells.values
+
+
+def tell_mode(chain: Chain) -> str:
+    """What the picture of the first full-stick mode shows."""
+    return f"full-stick mode 1: {chain.reduction.full_stick.frequency[0]:.1f} Hz"
 
 
 def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None:
@@ -163,9 +170,9 @@ def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None
     figure.suptitle(scene.title or scene.geometry.source.stem)
 
 
-def caption_mode(figure: Figure, colours: ScalarMappable, chain: Chain, **place: object) -> None:
-    """Title and colour bar of a mode, the bar placed as ``Figure.colorbar`` lets one."""
-    figure.suptitle(f"full-stick mode 1: {chain.reduction.full_stick.frequency[0]:.1f} Hz")
+def caption_motion(figure: Figure, colours: ScalarMappable, title: str, **place: object) -> None:
+    """Title and colour bar of a displaced shape, the bar placed as ``Figure.colorbar`` lets one."""
+    figure.suptitle(title)
     figure.colorbar(colours, label="displacement / its largest value", **place)
 
 
@@ -183,8 +190,12 @@ def place_legend(axes: Axes, columns: int, bottom: float = 0.0) -> None:
 
 
 def mark_held(axes: Axes, scene: Scene, edge: Mapping[str, RealArray], size: float) -> None:
-    """A triangle for each node that is held, a cross where it is along some axes only."""
+    """A triangle for each node that is held, a cross where it is along some axes only, a dot on the cuts of a ring."""
     supports = scene.supports
+    for cut, neighbour in zip(
+        scene.cyclic.cuts if scene.cyclic else (), ("sector before", "next sector"), strict=False
+    ):
+        axes.plot(*(1e3 * edge[cut].T), ".", color=AT_REST, markersize=size, label=f"cut to the {neighbour}: {cut}")
     for name in supports.boundaries:
         mark, along = ("^", "") if name in supports.clamp else ("x", f" along {' and '.join(supports.hold[name])}")
         axes.plot(*(1e3 * edge[name].T), mark, color=INK, markersize=size, label=f"held{along}: {name}")

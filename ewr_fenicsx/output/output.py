@@ -27,6 +27,7 @@ from ewr_fenicsx.output import mesh_plots, plots, solid_plots
 from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.output.pair_fields import spread_over_interface
 from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
+from ewr_fenicsx.output.ring_motion import gather_ring, tell_ring
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.solution.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
@@ -88,7 +89,9 @@ def write_results(
         write_fields(draft, chain, solution)
         pictures = mesh_plots if chain.mesh.dimension == 2 else solid_plots
         pictures.draw_mesh(draft / "mesh.png", chain)
-        pictures.draw_mode(draft / "full_stick_mode.png", chain)
+        pictures.draw_motion(draft / "full_stick_mode.png", mesh_plots.gather_mode(chain), mesh_plots.tell_mode(chain))
+        if solution.problem.model.cyclic and np.any(solution.coordinates[np.array(solution.orders) > 0]):
+            pictures.draw_motion(draft / "ring.png", gather_ring(chain, solution), tell_ring(solution))
         if write_more:
             write_more(draft)
         memory = comm.gather(measure_memory(), root=0)

@@ -1,4 +1,4 @@
-"""Pictures of a solid mesh, with its joint and loads, and of the first full-stick mode: as of a plane one, seen askew.
+"""Pictures of a solid mesh, with its joint and loads, and of motions such as a mode: as of a plane one, seen askew.
 
 The outer faces are gathered on rank 0, which draws; the other ranks only take part in the gathering. The box around
 each drawing is measured, so that drawings of any shape fill the picture.
@@ -27,11 +27,10 @@ from ewr_fenicsx.output.mesh_plots import (
     MESH_LINES,
     SIZES,
     caption_mesh,
-    caption_mode,
+    caption_motion,
     choose_body_colours,
     draw_loads,
     gather_edges,
-    gather_mode,
     mark_held,
     mark_pairs,
     place_arrows,
@@ -79,9 +78,8 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     save_picture(figure, path, dpi=DPI)
 
 
-def draw_mode(path: Path, chain: Chain) -> None:
-    """Shape of the first full-stick mode, over the undeformed outline; collective."""
-    cells = gather_mode(chain)
+def draw_motion(path: Path, cells: Cells | None, title: str) -> None:
+    """A displaced shape, as ``gather_mode`` has it, over the undeformed outline; ranks without cells draw nothing."""
     if cells is None:
         return
     size, moved = np.linalg.norm(cells.values, axis=2), cells.corners + cells.values
@@ -92,7 +90,7 @@ def draw_mode(path: Path, chain: Chain) -> None:
     _draw_faces(axes, moved, facecolors=colours.to_rgba(size.mean(axis=1) / size.max()))
     _lay_out(figure, {axes: 3.5}, columns=(1,), beside=BAR)
     wide = 1 / figure.get_figwidth()
-    caption_mode(figure, colours, chain, cax=figure.add_axes((1 - BAR * wide, 0.2, 0.2 * wide, 0.6)))
+    caption_motion(figure, colours, title, cax=figure.add_axes((1 - BAR * wide, 0.2, 0.2 * wide, 0.6)))
     save_picture(figure, path, dpi=DPI)
 
 

@@ -118,6 +118,9 @@ def _list_bare(scene: Scene, problem: ContactProblem | None, joint: Joint) -> It
     if problem:
         rigid = problem.system.model.rigid_modes.shape[1]
         yield Effect("floating bodies", rigid > 0, f"{rigid} rigid-body motions that no support or bond holds")
+    ring = scene.cyclic
+    why = f"cyclic: {ring.sectors} sectors, engine order {ring.engine_order}" if ring else "no [cyclic]"
+    yield Effect("cyclic symmetry", ring is not None, why)
     yield from _list_loads(scene)
     yield _tell_harmonics(scene, problem)
     yield from _list_studies(scene, joint)

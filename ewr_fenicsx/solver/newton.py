@@ -219,7 +219,8 @@ def list_remedies(best: PeriodicSolution) -> str:
         return f". Laws return infinities or NaN: look at {own}"
     if hit := best.list_hit_modes():
         return f". {hit[0].capitalize()}"
-    last = "integrate(problem) shows whether the motion becomes periodic at all"
+    stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
+    last = f"{stepped} shows whether the motion becomes periodic at all"
     if own:
         last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
     return (

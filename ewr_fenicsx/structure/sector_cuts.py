@@ -74,7 +74,7 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
             'damping.kind = "modal": the modes of a ring differ from wave to wave; give "ratios" or "rayleigh"'
         )
     d = structure.mesh.dimension
-    rotation = _rotate(ring, d)
+    rotation = rotate_by_sector(ring, d)
     (low, at_low), (high, at_high) = (_gather_nodes(structure, name) for name in (ring.low, ring.high))
     centre = np.array(ring.centre)
     where = f"cyclic: {ring.sectors} sectors, of {360 / ring.sectors:.6g} degrees each"
@@ -107,8 +107,8 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
     return SectorCuts(ring, low_dofs[free[0]], high_dofs[free[1]], turn[np.ix_(free[1], free[0])])
 
 
-def _rotate(ring: Ring, dimension: int) -> np.ndarray:
-    """Rotation by a sector about the axis, ``(d, d)``, by Rodrigues' formula."""
+def rotate_by_sector(ring: Ring, dimension: int) -> np.ndarray:
+    """Rotation about the axis from a sector to the next one, ``(d, d)``, by Rodrigues' formula."""
     along = np.array(ring.axis) / np.linalg.norm(ring.axis)
     across = np.cross(np.eye(3), along)  # times a vector: the axis, cross that vector
     angle = 2 * np.pi / ring.sectors

@@ -21,7 +21,7 @@ from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.output import plots, solid_plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
 from ewr_fenicsx.output.gathering import gather_cells
-from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh
+from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh, gather_mode, tell_mode
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, sample_friction_limit
 from ewr_fenicsx.structure.chain import build_chain
@@ -426,7 +426,8 @@ def test_nothing_is_printed_over_anything_else_of_a_solid(solid, monkeypatch, tm
 
 
 def test_the_mode_of_a_solid_is_drawn_over_its_outline(solid, monkeypatch, tmp_path):
-    figure = draw_solid(monkeypatch, solid_plots.draw_mode, tmp_path / "mode.png", solid)
+    draw_mode = lambda path, chain: solid_plots.draw_motion(path, gather_mode(chain), tell_mode(chain))  # noqa: E731
+    figure = draw_solid(monkeypatch, draw_mode, tmp_path / "mode.png", solid)
     axes, bar = figure.axes
     assert figure._suptitle.get_text() == f"full-stick mode 1: {solid.reduction.full_stick.frequency[0]:.1f} Hz"
     assert bar.get_ylabel() == "displacement / its largest value"

@@ -1,0 +1,233 @@
+"""One sector of a ring against the whole ring as an ordinary model: waves, solutions, and what is refused."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    ReducedModel,
+    close_ring,
+    evolve_wear,
+    frequency_response,
+    integrate,
+    solve,
+    unroll_ring,
+)
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.model.cyclic_symmetry import CyclicSymmetry
+from ewr_fenicsx.model.receptance import find_normal_modes
+from ewr_fenicsx.output.work_folder import _is_same
+
+CUT, INTERIOR = 2, 5  # coordinates on each cut, and between
+LOW = np.arange(4 + INTERIOR, 4 + INTERIOR + CUT)
+HIGH = LOW + CUT
+SECTORS = 5
+RUB = ContactLaws(friction=0.3)
+# as many samples from sector to sector, and nothing that is chosen from the model, so that both see the same
+ALIKE = {"harmonics": 5, "samples": 32 * SECTORS, "closure": "dashpot", "rho_normal": 1e7, "rho_tangential": 1e-4}
+
+
+def turn(sectors: int) -> np.ndarray:
+    angle = 2 * np.pi / sectors
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def draw_sector(seed: int = 3, coupled_damping: bool = False, shaken: float = 1.0) -> ReducedModel:
+    """A pair between coordinates 0, 1 and 2, 3, some coordinates inside, and two on each cut."""
+    rng, n = np.random.default_rng(seed), 4 + INTERIOR + 2 * CUT
+    mass, stiffness, drag = (a.T @ a for a in rng.normal(size=(3, n + 3, n)))
+    load = {0: np.zeros(n), 1: np.zeros(n, complex), 2: np.zeros(n, complex)}
+    load[0][0], load[0][HIGH[0]] = -3000.0, 200.0
+    load[1][[0, 1, 4]], load[2][5] = shaken * np.array([4000j, 9000, 3000j]), 500 + 100j
+    row = lambda a, b: (np.eye(n)[a] - np.eye(n)[b])[None]  # noqa: E731
+    damping = 3 * stiffness + 2 * mass + 20 * coupled_damping * drag
+    return ReducedModel(0.1 * mass, damping, 1e6 * stiffness, row(0, 2), row(1, 3), load, outputs={"tip": np.eye(n)[1]})
+
+
+def ring(engine_order: int, sectors: int = SECTORS, **options: object) -> ReducedModel:
+    return close_ring(draw_sector(**options), LOW, HIGH, sectors=sectors, engine_order=engine_order, turn=turn(sectors))
+
+
+@pytest.mark.parametrize("sectors", [2, 3, 4, 5])
+def test_modes_of_all_waves_are_those_of_the_whole_ring(sectors):
+    model = ring(1, sectors)
+    whole = unroll_ring(model)
+    of_waves = [
+        scipy.linalg.eigh(model.matrix("stiffness", wave), model.matrix("mass", wave), eigvals_only=True)
+        for wave in range(sectors)
+    ]
+    expected = scipy.linalg.eigh(whole.stiffness, whole.mass, eigvals_only=True)
+    assert np.sort(np.concatenate(of_waves)) == pytest.approx(expected, rel=1e-9)
+    assert not np.allclose(of_waves[0], of_waves[1], rtol=1e-2)
+    assert whole.size == sectors * model.size and whole.pairs == sectors and whole.cyclic is None
+
+
+@pytest.mark.parametrize("coupled_damping", [False, True])
+@pytest.mark.parametrize("engine_order", [0, 1, 2, -1, 7])
+def test_a_sector_moves_as_those_of_the_whole_ring(engine_order, coupled_damping):
+    model = ring(engine_order, coupled_damping=coupled_damping)
+    assert (find_normal_modes(model, model.wave_of(1)) is None) == coupled_damping
+    one, every = (solve(ContactProblem(m, RUB, frequency=60.0, **ALIKE)) for m in (model, unroll_ring(model)))
+    merit, whole = one.merit, every.merit
+    assert merit["friction_dissipation"] > 0.1 and abs(merit["energy_error"]) < 1e-3
+    for name in ("excitation_work", "viscous_dissipation", "friction_dissipation"):
+        assert SECTORS * merit[name] == pytest.approx(whole[name], rel=1e-9)
+    for name in ("J_T", "J_N", "largest_normal_force"):  # at 1024 instants, between which the lags fall
+        assert merit[name] == pytest.approx(whole[name], rel=1e-3)
+    for j in range(SECTORS):
+        lag = np.exp(-2j * np.pi * engine_order * j / SECTORS * np.arange(6))
+        expected = every.output(f"tip_{j}")
+        assert lag * one.output("tip") == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+        assert lag[:, None] * one.forces == pytest.approx(
+            every.forces[:, [j, SECTORS + j]], abs=1e-9 * np.abs(one.forces).max()
+        )
+    own = one.coordinates.shape[1]
+    assert one.coordinates == pytest.approx(every.coordinates[:, :own], abs=1e-9 * np.abs(one.coordinates).max())
+
+
+def test_bonds_carry_the_same_as_in_the_whole_ring():
+    model, glued = ring(2), ContactLaws(normal="bonded", tangential="bonded")
+    one, every = (solve(ContactProblem(m, glued, frequency=60.0)) for m in (model, unroll_ring(model)))
+    for name in ("normal_force", "friction_force"):
+        expected = every.history(name, 60)
+        assert one.history(name, 60)[:, 0] == pytest.approx(expected[:, 0], abs=1e-9 * np.abs(expected).max())
+        assert np.abs(expected).max() > 100.0
+
+
+def test_given_normal_forces_travel_round_as_well():
+    pressed = ContactLaws(normal="prescribed", normal_force={0: 3000.0, 1: 1000j}, friction=0.3)
+    model = replace(ring(1), load={1: ring(1).load[1]})
+    one = solve(ContactProblem(model, pressed, frequency=60.0, **ALIKE))
+    whole, lag = unroll_ring(model), np.exp(-2j * np.pi / SECTORS * np.arange(SECTORS))
+    groups = [([j], replace(pressed, normal_force={0: 3000.0, 1: 1000j * lag[j]})) for j in range(SECTORS)]
+    every = solve(ContactProblem(whole, groups, frequency=60.0, **ALIKE))
+    expected = every.output("tip_0")
+    assert one.output("tip") == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_wear_is_that_of_the_whole_ring():
+    model = replace(ring(1, shaken=0.4), pair_area=[1e-6])
+    problems = [ContactProblem(m, RUB, frequency=60.0, **ALIKE) for m in (model, unroll_ring(model))]
+    one, every = (evolve_wear(problem, cycles=3, coefficient=1e-13) for problem in problems)
+    assert one.depth[-1, 0] > 1e-7
+    assert one.depth == pytest.approx(every.depth[:, :1], rel=1e-9)
+
+
+def test_sweeps_and_accuracies_know_of_waves(tmp_path):
+    model, frequencies = ring(2, shaken=0.2), np.linspace(50.0, 70.0, 5)
+    curve = frequency_response(model, RUB, frequencies, folder=tmp_path / "sweep")
+    again = frequency_response(model, RUB, frequencies, folder=tmp_path / "sweep")
+    assert np.array_equal(curve.output("tip"), again.output("tip")) and len(curve.frequencies) >= 5
+    accurate = solve(ContactProblem(model, RUB, frequency=60.0), accuracy=0.01)
+    closest = solve(ContactProblem(model, RUB, frequency=60.0, harmonics=63))
+    size = lambda solution: np.linalg.norm(solution.output("tip")[1:])  # noqa: E731
+    assert size(accurate) == pytest.approx(size(closest), rel=0.01) and not accurate.short
+
+
+def test_waves_have_lags_and_diameters():
+    ties = CyclicSymmetry(6, -1, *np.zeros((3, 1, 1)))
+    assert [ties.wave_of(h) for h in range(7)] == [0, 5, 4, 3, 2, 1, 0]
+    assert [ties.count_diameters(w) for w in range(6)] == [0, 1, 2, 3, 2, 1]
+    assert ties.lag(0) == 1 and ties.lag(3) == -1 and ties.lag(1) == pytest.approx(np.exp(-1j * np.pi / 3))
+    assert "6 sectors, engine order -1" in repr(ties)
+
+
+def test_products_with_amplitudes_are_those_with_each_waves_matrix(tmp_path):
+    model, orders = ring(2), (0, 1, 3, 5)
+    rng = np.random.default_rng(1)
+    amplitudes = rng.normal(size=(4, model.size)) + 1j * rng.normal(size=(4, model.size))
+    for name in ("mass", "damping", "stiffness"):
+        expected = [model.matrix(name, model.wave_of(h)) @ x for h, x in zip(orders, amplitudes, strict=True)]
+        assert model.react(name, amplitudes, orders) == pytest.approx(np.array(expected), rel=1e-12)
+        hermitian, size = model.matrix(name, 2), np.abs(model.matrix(name)).max()
+        assert hermitian == pytest.approx(hermitian.conj().T, abs=1e-12 * size)
+        assert np.abs(hermitian.imag).max() > 1e-3 * size
+
+
+def test_a_ring_survives_files_and_pickles(tmp_path):
+    model = ring(2)
+    model.save(tmp_path / "ring.h5")
+    for copy in (ReducedModel.load(tmp_path / "ring.h5"), pickle.loads(pickle.dumps(model))):
+        assert (copy.cyclic.sectors, copy.cyclic.engine_order) == (SECTORS, 2)
+        assert np.array_equal(copy.matrix("stiffness", 2), model.matrix("stiffness", 2))
+        assert _is_same(model, copy)
+        with pytest.raises(ValueError, match="read-only"):
+            copy.cyclic.stiffness[0, 0] = 1.0
+    other = replace(model, cyclic=replace(model.cyclic, engine_order=1))
+    assert not _is_same(model, other) and not _is_same(model, replace(model, cyclic=None))
+    assert "one of 5 sectors" in repr(model)
+
+
+def test_what_is_not_known_of_a_ring_is_told():
+    problem = ContactProblem(ring(1), RUB, frequency=60.0)
+    with pytest.raises(ModelError, match="sectors of a ring go their own ways: step unroll_ring"):
+        integrate(problem)
+    solution = solve(problem)
+    assert any("stability is not looked at" in line and "unroll_ring(model)" in line for line in solution.cautions)
+
+
+def test_a_free_ring_has_the_rigid_motions_that_its_cuts_let_it():
+    """A chain of equal masses in a ring: it turns as a whole, and no other wave is free."""
+    bar = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    mass, stiffness = np.diag([1.0, 0.5, 0.5]), np.zeros((3, 3))
+    stiffness[1:, 1:] += 1e4 * bar
+    stiffness[:2, :2] += 1e4 * bar
+    sector = ReducedModel(mass, 0 * mass, stiffness, normal=[[1.0, -1.0, 0.0]])
+    model = close_ring(sector, [1], [2], sectors=4, engine_order=1)
+    assert sector.rigid_modes.shape == (3, 1) and model.rigid_modes.shape == (2, 1)
+    assert np.linalg.eigvalsh(model.matrix("stiffness", 1))[0] > 1.0
+    assert unroll_ring(model).rigid_modes.shape == (8, 1)
+
+
+@pytest.mark.parametrize(
+    "change, told",
+    [
+        ({"low": LOW[:1]}, "low has 1 coordinates and high 2"),
+        ({"low": [99, 98]}, "low: give the numbers of coordinates, 0 to 12"),
+        ({"low": [0.5, 1]}, "low: give the numbers of coordinates"),
+        ({"high": []}, "high: give the numbers of coordinates"),
+        ({"high": LOW}, "coordinate 9 is named twice"),
+        ({"turn": np.eye(3)}, r"turn has shape \(3, 3\); give \(2, 2\), a rotation"),
+        ({"turn": 2 * np.eye(2)}, "a rotation"),
+        ({"sectors": 1}, "sectors = 1; a ring has 2 to 1000"),
+        ({"sectors": 4.5}, "sectors = 4.5; give a whole number"),
+        ({"engine_order": True}, "engine_order = True; give a whole number"),
+        ({"sector": ring(1)}, "free at its cuts, not closed already"),
+        ({"sector": replace(draw_sector(), load={1: np.eye(13)[12]})}, r"load\[1\]: on coordinates of the high cut"),
+        ({"sector": replace(draw_sector(), outputs={"edge": np.eye(13)[11]})}, 'output "edge": on coordinates'),
+        ({"sector": replace(draw_sector(), normal=np.eye(13)[12:])}, "contact rows: on coordinates of the high cut"),
+        (
+            {"sector": replace(draw_sector(), damping=np.triu(np.ones((13, 13))))},
+            "damping of a sector in a ring is not",
+        ),
+    ],
+)
+def test_what_makes_no_ring_is_refused(change, told):
+    asked = {"sector": draw_sector(), "low": LOW, "high": HIGH, "sectors": 5, "engine_order": 1} | change
+    with pytest.raises(ModelError, match=told):
+        close_ring(asked.pop("sector"), asked.pop("low"), asked.pop("high"), **asked)
+
+
+def test_couplings_that_do_not_fit_are_refused():
+    model = ring(1)
+    with pytest.raises(ModelError, match="cyclic has matrices of 1 coordinates, and the model 11"):
+        replace(model, cyclic=CyclicSymmetry(5, 1, *np.zeros((3, 1, 1))))
+    with pytest.raises(ModelError, match="mass is not positive semidefinite"):
+        replace(model, cyclic=replace(model.cyclic, mass=100 * model.mass))
+    with pytest.raises(ModelError, match="cyclic = 'yes'; give a CyclicSymmetry"):
+        replace(model, cyclic="yes")
+    with pytest.raises(ModelError, match="between sectors have the shapes"):
+        CyclicSymmetry(5, 1, np.zeros((1, 1)), np.zeros((2, 2)), np.zeros((1, 1)))
+    with pytest.raises(ModelError, match="give a finite square matrix"):
+        CyclicSymmetry(5, 1, np.zeros((1, 2)), np.zeros((1, 1)), np.zeros((1, 1)))
+    with pytest.raises(ModelError, match="give a sector of a ring"):
+        unroll_ring(draw_sector())
+    with pytest.raises(ModelError, match="1000 sectors with 11 coordinates each are 11000, more than 8000"):
+        unroll_ring(close_ring(draw_sector(), LOW, HIGH, sectors=1000, engine_order=1))
