@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
+from scipy.optimize import OptimizeResult, linprog
 
 from ewr_fenicsx.errors import UnheldBody, name_pairs
 from ewr_fenicsx.given import RealArray
@@ -58,14 +59,17 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
     sees_all = np.linalg.matrix_rank(normal_motion, tol=_SEEN * largest_motion) == r
     bounds = list(zip(smallest, largest, strict=True))
     nothing = 0 * friction
-    if sees_all and _unbalanced(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)[0] <= _BALANCED:
-        return False
-    rest, motion = _unbalanced(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
+    if sees_all:
+        pressed = _state(normal_motion, tangential_motion, bounds, nothing, nothing, rigid_load)
+        if pressed.leave_least()[0] <= _BALANCED:
+            return False
+    program = _state(normal_motion, tangential_motion, bounds, friction, limit, rigid_load)
+    rest, motion = program.leave_least()
     pulls = (smallest < 0) & (friction > 0)
     if rest > _BALANCED and np.any(pulls):
         # the cone lets no bond pull: let each pull beside its pressing, so that nothing that holds is refused
         more = lambda values: np.concatenate([values, np.zeros((np.count_nonzero(pulls), *values.shape[1:]))])  # noqa: E731
-        rest, motion = _unbalanced(
+        program = _state(
             np.concatenate([normal_motion, normal_motion[pulls]]),
             np.array([more(moved) for moved in tangential_motion]),
             bounds + [(low, 0.0) for low in smallest[pulls]],
@@ -73,6 +77,7 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
             more(limit),
             rigid_load,
         )
+        rest, motion = program.leave_least()
     rubs = (friction > 0) | (limit > 0)
     seen = np.vstack([normal_motion, *tangential_motion[:, rubs]])
     if np.linalg.matrix_rank(seen, tol=_SEEN * largest_motion) < r:
@@ -92,10 +97,11 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
         how, most = ("opens", np.where(parts, opening, 0.0)) if np.any(parts) else ("slides along", sliding)
         worst = list_most(most)
         moves = f"{how} {name_pairs(worst)} most" if worst else "opens no pair"
+        left = 100 * (1 - program.carry_most())
         raise UnheldBody(
-            f"nothing holds a floating body: {100 * rest:.3g}% of the mean load stays unbalanced whatever the contact "
-            f"forces; it drives a rigid motion that {moves}; turn the load round, raise the friction or the "
-            "prescribed normal force, or support the body",
+            f"nothing holds a floating body: {left:.3g}% of the mean load stays unbalanced, whatever contact forces; "
+            f"it drives a rigid motion that {moves}; turn the load round, raise the friction or the prescribed normal "
+            "force, or support the body",
             worst,
         )
     return True
@@ -106,37 +112,79 @@ def list_most(moved: RealArray) -> list[int]:
     return [int(k) for k in np.argsort(-moved, kind="stable")[:3] if moved[k] > _SEEN * moved.max()]
 
 
-def _unbalanced(
+@dataclass(frozen=True)
+class _Program:
+    """Linear programs over mean forces, normal, then tangential, direction by direction; all over the load's size.
+
+    Attributes:
+        forces: ``(r, n)`` work of each on the rigid modes.
+        cone: ``(q, n)`` and ``limits`` ``(q,)``: ``cone @ forces <= limits``, by a polygon with two tangents.
+        bounds: Of each.
+        load: ``(r,)`` work of the mean load on the rigid modes.
+    """
+
+    forces: RealArray
+    cone: sparse.spmatrix
+    limits: RealArray
+    bounds: list
+    load: RealArray
+
+    def leave_least(self) -> tuple[float, RealArray]:
+        """Smallest part of the load that is left over, by its largest component, and the motion it drives ``(r,)``."""
+        r, n = self.forces.shape
+        if not np.any(self.load):
+            return 0.0, np.zeros(r)
+        column = -np.ones((r, 1))
+        upper = sparse.vstack(
+            [
+                np.vstack([np.hstack([self.forces, column]), np.hstack([-self.forces, column])]),
+                sparse.hstack([self.cone, sparse.csr_matrix((self.cone.shape[0], 1))]),
+            ]
+        )
+        bound = np.concatenate([-self.load, self.load, self.limits])
+        found = _solve(np.arange(n + 1) == n, [*self.bounds, (0, np.inf)], A_ub=upper, b_ub=bound)
+        push = found.ineqlin.marginals
+        return float(found.x[-1]), push[r : 2 * r] - push[:r]
+
+    def carry_most(self) -> float:
+        """Largest share of the load that forces balance, whatever the basis of the rigid motions."""
+        r, n = self.forces.shape
+        found = _solve(
+            -1.0 * (np.arange(n + 1) == n),
+            [*self.bounds, (0, 1)],
+            A_ub=sparse.hstack([self.cone, sparse.csr_matrix((self.cone.shape[0], 1))]),
+            b_ub=self.limits,
+            A_eq=np.column_stack([self.forces, self.load]),
+            b_eq=np.zeros(r),
+        )
+        return float(found.x[-1])
+
+
+def _state(
     normal_motion: RealArray,
     tangential_motion: RealArray,
     bounds: list,
     friction: RealArray,
     limit: RealArray,
     rigid_load: RealArray,
-) -> tuple[float, RealArray]:
-    """Smallest unbalanced share of the mean load, and the rigid motion that it drives ``(r,)``."""
-    size, r = np.abs(rigid_load).max(initial=0.0), rigid_load.size
-    if size == 0:
-        return 0.0, np.zeros(r)
-    k = friction.size
+) -> _Program:
+    size, k = np.abs(rigid_load).max(initial=0.0) or 1.0, friction.size
     rubs = np.flatnonzero((friction > 0) | (limit > 0))
     angle = np.linspace(0, 2 * np.pi, 2 if len(tangential_motion) == 1 else _SIDES, endpoint=False)
     toward = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(tangential_motion)]
-    sides, sliding = angle.size, toward.shape[1] * rubs.size
-    # unknowns: lam_N (k), lam_T (rubbing, direction by direction), t >= |unbalanced|
-    forces = np.hstack([normal_motion.T, *(motion[rubs].T for motion in tangential_motion)])
-    column = -np.ones((r, 1))
-    upper = np.vstack([np.hstack([forces, column]), np.hstack([-forces, column])])
-    if rubs.size:
-        limits = sparse.csr_matrix((-friction[rubs], (np.arange(rubs.size), rubs)), (rubs.size, k))
-        cone = [sparse.kron(np.ones((sides, 1)), limits), sparse.kron(toward, sparse.identity(rubs.size))]
-        upper = sparse.vstack([upper, sparse.hstack([*cone, sparse.csr_matrix((sides * rubs.size, 1))])])
-    bound = np.concatenate([-rigid_load / size, rigid_load / size, np.tile(limit[rubs] / size, sides)])
-    bounds = [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * sliding + [(0, np.inf)]
-    cost = np.zeros(k + sliding + 1)
-    cost[-1] = 1.0
-    found = linprog(cost, A_ub=upper, b_ub=bound, bounds=bounds, method="highs")
+    cone = sparse.csr_matrix((-friction[rubs], (np.arange(rubs.size), rubs)), (rubs.size, k))
+    parts = [sparse.kron(np.ones((angle.size, 1)), cone), sparse.kron(toward, sparse.identity(rubs.size))]
+    return _Program(
+        np.hstack([normal_motion.T, *(motion[rubs].T for motion in tangential_motion)]),
+        sparse.hstack(parts) if rubs.size else sparse.csr_matrix((0, k)),
+        np.tile(limit[rubs] / size, angle.size),
+        [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * (toward.shape[1] * rubs.size),
+        rigid_load / size,
+    )
+
+
+def _solve(cost: RealArray, bounds: list, **constraints: object) -> OptimizeResult:
+    found = linprog(cost, bounds=bounds, method="highs", **constraints)
     if found.status != 0:
         raise UnheldBody(f"the static equilibrium of the floating bodies could not be examined: {found.message}")
-    push = found.ineqlin.marginals
-    return float(found.x[-1]), push[r : 2 * r] - push[:r]
+    return found

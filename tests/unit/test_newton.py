@@ -250,11 +250,15 @@ def test_a_floating_joint_through_its_resonance(ratio, friction):
     np.testing.assert_allclose([applied[0:14:2].sum(), applied[1:14:2].sum()], [0.0, -1000.0], atol=1e-4)
 
 
-def test_a_blade_that_is_pushed_out_of_its_flanks_is_unheld():
+@pytest.mark.parametrize("seed", range(4))
+def test_a_blade_that_is_pushed_out_of_its_flanks_is_unheld(seed):
+    """Whatever basis of its rigid motions was found, which is a matter of rounding."""
+    model, mix = dovetail(pull=-1000.0), np.random.default_rng(seed).normal(size=(3, 3))
+    model = replace(model, rigid_modes=model.rigid_modes @ mix)
     with pytest.raises(
         UnheldBody, match=r"nothing holds a floating body: 100% of the mean load .* opens pairs \d, \d, \d most"
     ):
-        solve(ContactProblem(dovetail(pull=-1000.0), ContactLaws(), 200.0, 3))
+        solve(ContactProblem(model, ContactLaws(), 200.0, 3))
 
 
 # Limits in which one law becomes another
