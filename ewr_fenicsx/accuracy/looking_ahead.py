@@ -173,7 +173,9 @@ def has_own_springs(problem: ContactProblem) -> bool:
     if not (rub and problem.frequency and highest):
         return False
     at = np.concatenate(rub)
-    return bool(np.all(find_own_springs(system.model, system.rows[at], system.flexibility[at], problem.omega, highest)))
+    wave = system.layout.usual_wave
+    rows = system.layout.rows_in(wave)[at]
+    return bool(np.all(find_own_springs(system.model, rows, system.flexibility[at], problem.omega, highest, wave)))
 
 
 def find_ringing(problem: ContactProblem, top: int) -> list[int]:
@@ -183,10 +185,12 @@ def find_ringing(problem: ContactProblem, top: int) -> list[int]:
     model.
     """
     system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
-    if orders.size < 3 or not len(system.rows) or find_normal_modes(system.model) is None:
+    wave = system.layout.usual_wave
+    if orders.size < 3 or not len(system.rows) or find_normal_modes(system.model, wave) is None:
         return []
     try:
-        flexibility = np.abs(measure_beyond(system.model, system.rows, problem.omega, orders)) / system.flexibility
+        beyond = measure_beyond(system.model, system.layout.rows_in(wave), problem.omega, orders, wave)
+        flexibility = np.abs(beyond) / system.flexibility
     except ModelError:  # one hits an undamped mode exactly: no step could have it
         return []
     largest = flexibility.max(axis=1)

@@ -84,6 +84,7 @@ def condense(
     omega: float,
     orders: tuple[int, ...],
     generalised_inverse: GeneralisedInverse = "inertia relief",
+    next_rows: RealArray | None = None,
 ) -> DynamicCompliance:
     """Compliance of contact rows at the harmonics of one frequency, each computed once.
 
@@ -94,6 +95,7 @@ def condense(
         omega: Angular frequency [rad/s], positive unless only the mean is asked for.
         orders: Harmonics.
         generalised_inverse: How the singular static stiffness of floating bodies is inverted; no result depends on it.
+        next_rows: ``(m, n)`` what the next sector's coordinates of a ring add to the rows; None: nothing.
 
     Raises:
         ModelError: No positive frequency, a harmonic that hits an undamped mode exactly, or a rigid motion that the
@@ -105,7 +107,7 @@ def condense(
             "give a positive frequency, or where nothing oscillates no load but that of harmonic 0"
         )
     m, names = rows.shape[0], list(model.outputs)
-    found = _respond_at(model, _Itself(rows), omega, generalised_inverse)
+    found = _respond_at(model, _Itself(rows), omega, generalised_inverse, _Itself(next_rows))
     readers = found.readers
     modes = scale_rigid_modes(model, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
@@ -138,13 +140,20 @@ class Responses:
 
     Args:
         model, omega, generalised_inverse: As in ``condense``.
-        rows: ``(m, n)`` contact rows.
+        rows, next_rows: ``(m, n)`` contact rows, and what the next sector adds to them or None.
     """
 
-    def __init__(self, model: ReducedModel, rows: RealArray, omega: float, generalised_inverse: GeneralisedInverse):
+    def __init__(
+        self,
+        model: ReducedModel,
+        rows: RealArray,
+        omega: float,
+        generalised_inverse: GeneralisedInverse,
+        next_rows: RealArray | None = None,
+    ):
         self.model, self.omega, self.generalised_inverse = model, omega, generalised_inverse
         self.readers = np.vstack([rows, *model.outputs.values()])
-        self.rows = self.readers[: rows.shape[0]]
+        self.next_rows, self._count = next_rows, rows.shape[0]
         self._seen: dict[int, RealArray | ComplexArray] = {}  # by wave, once for all its harmonics
         self._known: dict[int, ComplexArray] = {}
 
@@ -163,8 +172,17 @@ class Responses:
     def _respond_to_rows(self, h: int) -> ComplexArray:
         if modes := self._uncouple(h):
             seen = self._see(h, modes)
-            return superpose(seen, modes.gain(h * self.omega), seen[: len(self.rows)].conj().T)
-        return self._solve(h, self.rows.T)
+            return superpose(seen, modes.gain(h * self.omega), seen[: self._count].conj().T)
+        return self._solve(h, self._read(h)[: self._count].conj().T)
+
+    def _read(self, h: int) -> RealArray | ComplexArray:
+        """Readers ``(p, n)`` in the wave of a harmonic."""
+        wave = self.model.wave_of(h)
+        if self.next_rows is None or wave == 0:
+            return self.readers
+        readers = self.readers.astype(complex)
+        readers[: self._count] += (self.model.cyclic.lag(wave) - 1) * self.next_rows
+        return readers
 
     def _uncouple(self, h: int) -> NormalModes | None:
         pinned = h == 0 and self.generalised_inverse == "pinned"
@@ -174,19 +192,19 @@ class Responses:
         """What the readers see of modes, ``(p, n)``."""
         wave = self.model.wave_of(h)
         if wave not in self._seen:
-            self._seen[wave] = self.readers @ modes.shapes
+            self._seen[wave] = self._read(h) @ modes.shapes
         return self._seen[wave]
 
     def _solve(self, h: int, forces: ComplexArray) -> ComplexArray:
         at = h * self.omega, forces, self.generalised_inverse, self.model.wave_of(h)
-        return self.readers @ solve_directly(self.model, *at)
+        return self._read(h) @ solve_directly(self.model, *at)
 
 
 @dataclass(frozen=True, eq=False)
 class _Itself:
-    """An array that equals itself alone: by what something is remembered."""
+    """An array, or none, that equals itself alone: by what something is remembered."""
 
-    array: RealArray
+    array: RealArray | None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Itself) and other.array is self.array
@@ -196,8 +214,10 @@ class _Itself:
 
 
 @lru_cache(maxsize=2)  # as much memory as a compliance each
-def _respond_at(model: ReducedModel, rows: _Itself, omega: float, generalised_inverse: GeneralisedInverse) -> Responses:
-    return Responses(model, rows.array, omega, generalised_inverse)
+def _respond_at(
+    model: ReducedModel, rows: _Itself, omega: float, generalised_inverse: GeneralisedInverse, next_rows: _Itself
+) -> Responses:
+    return Responses(model, rows.array, omega, generalised_inverse, next_rows.array)
 
 
 def scale_rigid_modes(model: ReducedModel, rows: RealArray) -> RealArray:

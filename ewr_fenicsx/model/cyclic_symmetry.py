@@ -5,7 +5,7 @@ one before, and so do the motions: at harmonic ``h`` the next sector has ``X_nex
 ``phi = 2 pi E / N``. That is wave ``h E modulo N``, of as many nodal diameters, or of ``N`` less as many. Where
 ``A X + A_1 X_next + A_1^T X_before`` act on a sector, wave ``w`` sees the Hermitian matrix
 ``A + z A_1 + conj(z) A_1^T`` with ``z = exp(-2 pi i w / N)``. In wave 0 all sectors move in phase, as under the mean
-load, whose wave it is.
+load, whose wave it is. Pairs between a sector and the next one, as of shrouds, have rows ``B + z B_1``.
 
 Source: Thomas (1979), Dynamics of rotationally periodic structures, doi:10.1002/nme.1620140106.
 """
@@ -22,6 +22,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers, refreeze
 
 COUPLINGS = ("mass", "damping", "stiffness")
+ROWS = ("normal", "tangential")
 MOST_SECTORS = 1000
 
 
@@ -35,6 +36,8 @@ class CyclicSymmetry:
             before by ``engine_order / sectors`` of a period. Negative where it travels the other way.
         mass, damping, stiffness: ``(n, n)`` real ``A_1``: what the next sector's motion does to this one
             [kg, N s/m, N/m]; what the motion of the one before does is the transpose.
+        normal, tangential: What the next sector's coordinates add to the contact rows of the model, shaped as there;
+            None: all pairs are within the sector.
 
     Raises:
         ModelError: No whole numbers, fewer than 2 sectors, or couplings of different sizes or not finite.
@@ -45,6 +48,8 @@ class CyclicSymmetry:
     mass: RealArray
     damping: RealArray
     stiffness: RealArray
+    normal: RealArray | None = None
+    tangential: RealArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("sectors", "engine_order"):
@@ -59,6 +64,12 @@ class CyclicSymmetry:
             if matrix.ndim != 2 or len(set(matrix.shape)) != 1 or not np.isfinite(matrix).all():
                 raise ModelError(f"{name} between sectors has shape {matrix.shape}; give a finite square matrix")
             object.__setattr__(self, name, keep(matrix))
+        for name in ROWS:
+            if getattr(self, name) is not None:
+                rows = np.atleast_2d(read_numbers(f"{name} of the next sector", getattr(self, name)))
+                if rows.shape[1:] != (self.size,) or not np.isfinite(rows).all():
+                    raise ModelError(f"{name} of the next sector has shape {rows.shape}; give finite (.., {self.size})")
+                object.__setattr__(self, name, keep(rows))
         if len(sizes := {getattr(self, name).shape for name in COUPLINGS}) > 1:
             raise ModelError(f"mass, damping and stiffness between sectors have the shapes {sorted(sizes)}; give one")
 
@@ -71,6 +82,11 @@ class CyclicSymmetry:
     def size(self) -> int:
         """Number of coordinates of a sector."""
         return self.stiffness.shape[0]
+
+    @property
+    def arrays(self) -> dict[str, RealArray]:
+        """All that there are, by name."""
+        return {name: getattr(self, name) for name in COUPLINGS + ROWS if getattr(self, name) is not None}
 
     def wave_of(self, harmonic: int) -> int:
         """The wave in which the sectors move at a harmonic, 0 to ``sectors - 1``."""

@@ -18,6 +18,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
+_BENDS = 1e-12  # of a mode's stiffness, as scaled here, below which it is rounding
 _REMEMBERED = 24  # models and waves, as much memory as a matrix each
 
 
@@ -140,15 +141,25 @@ def solve_directly(
         raise hit_undamped_mode(omega) from None
 
 
-def measure_resistance(model: ReducedModel, rows: RealArray, omega: float) -> RealArray:
+def measure_resistance(model: ReducedModel, rows: RealArray, omega: float, wave: int = 0) -> RealArray:
     """``(m,)`` flexibility ``b (K + omega^2 M)^-1 b^T`` of each row against stiffness and inertia together [m/N].
 
     Modes far below ``omega`` give little to it, however soft they are, and those far above all that they give at rest.
     """
-    modes = find_undamped_modes(model)
+    modes = find_undamped_modes(model, wave)
     if modes is None:
-        return np.einsum("mn,nm->m", rows, scipy.linalg.solve(model.stiffness + omega**2 * model.mass, rows.T))
-    return (rows @ modes.shapes) ** 2 @ (1 / (modes.stiffness + omega**2 * modes.mass))
+        impedance = model.matrix("stiffness", wave) + omega**2 * model.matrix("mass", wave)
+        return np.einsum("mn,nm->m", rows, scipy.linalg.solve(impedance, rows.conj().T)).real
+    return np.abs(rows @ modes.shapes) ** 2 @ (1 / (modes.stiffness + omega**2 * modes.mass))
+
+
+def measure_at_rest(model: ReducedModel, rows: RealArray, wave: int = 0) -> RealArray:
+    """``(m,)`` static flexibility of each row by itself, rigid motions left out [m/N]."""
+    modes = find_undamped_modes(model, wave) if wave else None
+    if modes is None:
+        return np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
+    bends = modes.stiffness > _BENDS
+    return np.abs(rows @ modes.shapes[:, bends]) ** 2 @ (1 / modes.stiffness[bends])
 
 
 def superpose(read: RealArray | ComplexArray, gain: ComplexArray, excited: ComplexArray) -> ComplexArray:

@@ -24,7 +24,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_harmonic, read_numbers, refreeze
-from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, CyclicSymmetry
+from ewr_fenicsx.model.cyclic_symmetry import ROWS, CyclicSymmetry
 from ewr_fenicsx.model.rigid_modes import (
     check_inertia,
     check_rigid_modes,
@@ -154,6 +154,10 @@ class ReducedModel:
                 f"cyclic has matrices of {self.cyclic.size} coordinates, and the model {self.size}; give equal ones"
             )
         _check_symmetry("damping of a sector in a ring", self.damping)
+        for name in ROWS:
+            own, following = getattr(self, name), getattr(self.cyclic, name)
+            if following is not None and (own is None or own.shape != following.shape):
+                raise ModelError(f"cyclic: {name} of the next sector needs as many rows as {name} of the model has")
         for wave in {self.wave_of(1), self.cyclic.sectors // 2}:
             _check_mass(self.matrix("mass", wave))
 
@@ -177,21 +181,19 @@ class ReducedModel:
         """Names of the tangential directions."""
         return ("tangential", "second_tangential")[: self.tangents]
 
-    def rows(self, direction: str) -> RealArray:
-        """Contact rows of a direction, ``(K_c, n)``.
+    def rows(self, direction: str, wave: int = 0) -> RealArray | ComplexArray:
+        """Contact rows of a direction, ``(K_c, n)``; complex where pairs between sectors see a wave.
 
         Args:
             direction: ``"normal"``, ``"tangential"`` or, in 3-D, ``"second_tangential"``.
+            wave: Of a ring.
 
         Raises:
             ModelError: The model has no rows of that direction.
         """
-        if direction == "normal" and self.normal is not None:
-            return self.normal
-        if direction == "tangential" and self.tangents:
-            return self.tangential[:: self.tangents]
-        if direction == "second_tangential" and self.tangents == 2:
-            return self.tangential[1::2]
+        if (own := _pick_rows(self, direction, self.tangents)) is not None:
+            lags = wave != 0 and self.joins_sectors
+            return own + (self.cyclic.lag(wave) - 1) * self.next_rows(direction) if lags else own
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
 
     def wave_of(self, harmonic: int) -> int:
@@ -212,6 +214,16 @@ class ReducedModel:
         return product
 
     @property
+    def joins_sectors(self) -> bool:
+        """Whether pairs are between this sector and the next one."""
+        return self.cyclic is not None and any(getattr(self.cyclic, name) is not None for name in ROWS)
+
+    def next_rows(self, direction: str) -> RealArray:
+        """What the next sector's coordinates add to the rows of a direction, ``(K_c, n)``, of a ring."""
+        found = _pick_rows(self.cyclic, direction, self.tangents)
+        return np.zeros((self.pairs, self.size)) if found is None else found
+
+    @property
     def areas(self) -> RealArray:
         """``pair_area``, ``(K_c,)`` [m^2]; ones where none was given."""
         return np.ones(self.pairs) if self.pair_area is None else self.pair_area
@@ -230,8 +242,8 @@ class ReducedModel:
             if self.cyclic is not None:
                 folder = file.create_group("cyclic")
                 folder.attrs.update(sectors=self.cyclic.sectors, engine_order=self.cyclic.engine_order)
-                for name in COUPLINGS:
-                    folder[name] = getattr(self.cyclic, name)
+                for name, value in self.cyclic.arrays.items():
+                    folder[name] = value
             for group, entries in (("load", self.load), ("outputs", self.outputs)):
                 folder = file.create_group(group)
                 for name, value in entries.items():
@@ -256,7 +268,7 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         arrays = {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
         cyclic = None
         if ring := file.get("cyclic"):
-            cyclic = CyclicSymmetry(**ring.attrs, **{name: ring[name][()] for name in COUPLINGS})
+            cyclic = CyclicSymmetry(**ring.attrs, **{name: item[()] for name, item in ring.items()})
         return ReducedModel(
             **arrays,
             cyclic=cyclic,
@@ -316,6 +328,13 @@ def _vector(name: str, value, size: int, dtype=float) -> np.ndarray:
         raise ModelError(f"{name} has entries that are not finite")
     vector.flags.writeable = False
     return vector
+
+
+def _pick_rows(of: ReducedModel | CyclicSymmetry, direction: str, tangents: int) -> RealArray | None:
+    if direction == "normal" or getattr(of, "tangential", None) is None:
+        return of.normal if direction == "normal" else None
+    first = {"tangential": 0, "second_tangential": 1}.get(direction, tangents)
+    return of.tangential[first::tangents] if first < tangents else None
 
 
 def _mapping(name: str, value: object, example: str) -> Mapping:

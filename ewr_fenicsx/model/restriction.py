@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 _ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
@@ -25,7 +25,8 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     cyclic = model.cyclic
     if cyclic is not None:
-        cyclic = replace(cyclic, **{name: basis.T @ getattr(cyclic, name) @ basis for name in COUPLINGS})
+        couplings = {name: basis.T @ getattr(cyclic, name) @ basis for name in COUPLINGS}
+        cyclic = replace(cyclic, **couplings, **{name: project(getattr(cyclic, name)) for name in ROWS})
     return replace(
         model,
         mass=symmetric(_project(model.mass, basis)),

@@ -7,14 +7,14 @@ wave, as in time or where sectors differ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray, read_numbers
-from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, CyclicSymmetry
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS, CyclicSymmetry
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 LARGEST_RING = 8000  # coordinates of an unrolled model, three dense matrices of half a gigabyte each
@@ -29,17 +29,21 @@ def close_ring(
     sectors: int,
     engine_order: int,
     turn: RealArray | None = None,
+    normal: RealArray | None = None,
+    tangential: RealArray | None = None,
 ) -> ReducedModel:
     """One sector of a ring, from a model of it that is free at both cuts.
 
     Args:
         sector: With the coordinates of both cuts among its own, as substructures from Abaqus or Ansys have them.
-        low: ``(k,)`` numbers of the coordinates at the cut to the sector before.
+        low: ``(k,)`` numbers of the coordinates at the cut to the sector before; none where only contact joins sectors.
         high: ``(k,)`` those at the cut to the next one, in the same order: ``high[i]`` is where the next one's
             ``low[i]`` is. They are not among the coordinates of the result.
         sectors, engine_order: As in ``CyclicSymmetry``.
         turn: ``(k, k)`` with ``x[high] = turn @ x_next[low]``, each in its own sector's directions: a rotation of the
             next one's vectors by ``2 pi / sectors``; None: equal, as in cylindrical coordinates.
+        normal, tangential: What the next sector's coordinates add to the sector's contact rows, shaped as those; None:
+            nothing, all pairs are within the sector. Pairs between sectors, as of shrouds, have entries in both.
 
     Returns:
         A model with ``n - k`` coordinates and ``cyclic`` set. Solve it as any other: its forces, motions and loads are
@@ -47,19 +51,22 @@ def close_ring(
 
     Raises:
         ModelError: Coordinates that do not exist, repeat or do not match; a turn that is no rotation; a model that is
-            closed already; contact rows, outputs or loads but the mean one at the high cut; damping not symmetric.
+            closed already; contact rows, outputs or loads but the mean one at the high cut; rows of the next sector of
+            another shape than the sector's; damping not symmetric.
     """
     if not isinstance(sector, ReducedModel) or sector.cyclic is not None:
         raise ModelError("sector: give the ReducedModel of one sector that is free at its cuts, not closed already")
     low, high, turn = _read_cuts(low, high, turn, sector.size)
-    _refuse_at_high_cut(sector, high)
+    further = {name: rows for name, rows in (("normal", normal), ("tangential", tangential)) if rows is not None}
+    further = {name: _read_next_rows(sector, name, rows) for name, rows in further.items()}
+    _refuse_at_high_cut(sector, high, further)
     kept = np.setdiff1d(np.arange(sector.size), high)
     own = np.eye(sector.size)[:, kept]
     following = np.zeros_like(own)
     following[np.ix_(high, np.searchsorted(kept, low))] = turn
     both = own + following
     rigid = sector.rigid_modes
-    apart = (rigid[high] - turn @ rigid[low]) / np.abs(rigid).max(axis=0, initial=0.0)
+    apart = (rigid[high] - turn @ rigid[low]) / np.abs(rigid).max(axis=0, initial=1e-300)
     _, sizes, mix = np.linalg.svd(apart)
     matrices = {name: getattr(sector, name) for name in COUPLINGS}
     in_phase = {name: both.T @ matrix @ both for name, matrix in matrices.items()}
@@ -68,13 +75,19 @@ def close_ring(
     return replace(
         sector,
         **in_phase,
-        normal=None if sector.normal is None else sector.normal[:, kept],
-        tangential=None if sector.tangential is None else sector.tangential[:, kept],
+        **{
+            name: (own_rows + further.get(name, 0.0))[:, kept]
+            for name in ROWS
+            if (own_rows := getattr(sector, name)) is not None
+        },
         load={h: both.T @ f for h, f in sector.load.items()},
         outputs={name: row[kept] for name, row in sector.outputs.items()},
         rigid_modes=(rigid @ mix[np.count_nonzero(sizes > _APART) :].T)[kept],
         cyclic=CyclicSymmetry(
-            sectors, engine_order, **{name: own.T @ matrix @ following for name, matrix in matrices.items()}
+            sectors,
+            engine_order,
+            **{name: own.T @ matrix @ following for name, matrix in matrices.items()},
+            **{name: rows[:, kept] for name, rows in further.items()},
         ),
     )
 
@@ -83,8 +96,8 @@ def _read_cuts(low: object, high: object, turn: object, size: int) -> tuple[np.n
     cuts = []
     for name, given in (("low", low), ("high", high)):
         numbers = read_numbers(name, given).reshape(-1)
-        if not numbers.size or np.any(numbers != np.round(numbers)) or numbers.min() < 0 or numbers.max() >= size:
-            raise ModelError(f"{name}: give the numbers of coordinates, 0 to {size - 1}, at least one")
+        if not np.all(np.isin(numbers, np.arange(size))):
+            raise ModelError(f"{name}: give the numbers of coordinates, 0 to {size - 1}")
         cuts.append(numbers.astype(int))
     if len(cuts[0]) != len(cuts[1]):
         raise ModelError(f"low has {len(cuts[0])} coordinates and high {len(cuts[1])}; give as many, in the same order")
@@ -100,9 +113,17 @@ def _read_cuts(low: object, high: object, turn: object, size: int) -> tuple[np.n
     return *cuts, matrix
 
 
-def _refuse_at_high_cut(sector: ReducedModel, high: np.ndarray) -> None:
+def _read_next_rows(sector: ReducedModel, name: str, given: RealArray) -> RealArray:
+    rows, own = np.atleast_2d(read_numbers(name, given)), getattr(sector, name)
+    if own is None or rows.shape != own.shape:
+        expected = "the sector has none" if own is None else f"give {own.shape}, as those of the sector"
+        raise ModelError(f"{name}: rows of the next sector have shape {rows.shape}; {expected}")
+    return rows
+
+
+def _refuse_at_high_cut(sector: ReducedModel, high: np.ndarray, further: Mapping[str, RealArray]) -> None:
     """What would be of two sectors, with a lag between its parts."""
-    rows = [rows for rows in (sector.normal, sector.tangential) if rows is not None]
+    rows = [rows for rows in (sector.normal, sector.tangential, *further.values()) if rows is not None]
     at_cut = {"contact rows": np.vstack(rows)}
     at_cut |= {f'output "{name}"': row for name, row in sector.outputs.items()}
     at_cut |= {f"load[{h}]": load for h, load in sector.load.items() if h}
@@ -141,17 +162,21 @@ def unroll_ring(model: ReducedModel) -> ReducedModel:
         own = getattr(model, name) - coupling - coupling.T
         return np.kron(alone, own) + np.kron(to_next, coupling) + np.kron(to_next.T, coupling.T)
 
-    repeat = lambda rows: None if rows is None else np.kron(alone, rows)  # noqa: E731
+    def repeat(name: str) -> RealArray | None:
+        rows, following = getattr(model, name), getattr(ring, name)
+        if following is None:
+            return None if rows is None else np.kron(alone, rows)
+        return np.kron(alone, rows - following) + np.kron(to_next, following)
+
     independent = not np.any(ring.stiffness.T @ model.rigid_modes) and not np.any(ring.stiffness @ model.rigid_modes)
     return ReducedModel(
         **{name: spread(name) for name in COUPLINGS},
-        normal=repeat(model.normal),
-        tangential=repeat(model.tangential),
+        **{name: repeat(name) for name in ROWS},
         load={
             h: np.concatenate([ring.lag(j * ring.wave_of(h)) * load for j in range(count)])
             for h, load in model.load.items()
         },
         pair_area=None if model.pair_area is None else np.tile(model.pair_area, count),
-        rigid_modes=repeat(model.rigid_modes) if independent else None,
+        rigid_modes=np.kron(alone, model.rigid_modes) if independent else None,
         outputs={f"{name}_{j}": np.kron(alone[j], row) for name, row in model.outputs.items() for j in range(count)},
     )

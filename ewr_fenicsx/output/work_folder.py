@@ -18,7 +18,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError, UnwritableFile
-from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS
 from ewr_fenicsx.model.reduced_model import ARRAYS, ReducedModel, read_reduced_model
 from ewr_fenicsx.output.result_folder import do_with_files
 
@@ -136,12 +135,12 @@ def _tell_difference(folder: Path, ranks: int) -> str:
 def _is_same(model: ReducedModel, begun: ReducedModel) -> bool:
     if model.load.keys() != begun.load.keys() or model.outputs.keys() != begun.outputs.keys():
         return False
-    rings = [(r.sectors, r.engine_order) if r else None for r in (model.cyclic, begun.cyclic)]
+    rings = [(r.sectors, r.engine_order, *r.arrays) if r else None for r in (model.cyclic, begun.cyclic)]
     if rings[0] != rings[1]:
         return False
     pairs = [(getattr(model, name), getattr(begun, name)) for name in ARRAYS]
     if model.cyclic:
-        pairs += [(getattr(model.cyclic, name), getattr(begun.cyclic, name)) for name in COUPLINGS]
+        pairs += [(value, begun.cyclic.arrays[name]) for name, value in model.cyclic.arrays.items()]
     pairs += [(model.load[h], begun.load[h]) for h in model.load]
     pairs += [(model.outputs[name], begun.outputs[name]) for name in model.outputs]
     return all(_agree(a, b) for a, b in pairs)

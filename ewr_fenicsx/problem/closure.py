@@ -26,7 +26,9 @@ FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 9), 4, 3e-4
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
-def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int) -> RealArray:
+def find_springs(
+    model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int, wave: int = 0
+) -> RealArray:
     """``(m,)`` flexibility of contact rows beyond a highest harmonic, zero of those that move as masses [m/N].
 
     Behind a spring of its own a pair's flexibility is the same over many harmonics, which may begin far beyond
@@ -38,17 +40,18 @@ def find_springs(model: ReducedModel, rows: RealArray, flexibility: RealArray, o
         flexibility: ``(m,)`` static flexibility of each by itself [m/N].
         omega: Angular frequency of the first harmonic [rad/s].
         highest: Highest harmonic that is kept.
+        wave: Of a ring, in which the rows are seen.
     """
     try:
-        beyond = average(np.abs(measure_beyond(model, rows, omega, list_beyond(highest))))
+        beyond = average(np.abs(measure_beyond(model, rows, omega, list_beyond(highest), wave)))
     except ModelError:  # one hits an undamped mode exactly
         return np.zeros(len(rows))
-    own = find_own_springs(model, rows, flexibility, omega, highest)
+    own = find_own_springs(model, rows, flexibility, omega, highest, wave)
     return np.where(own > 0, own, np.where(beyond > LEAST_ELASTIC * flexibility, beyond, 0.0))
 
 
 def find_own_springs(
-    model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int
+    model: ReducedModel, rows: RealArray, flexibility: RealArray, omega: float, highest: int, wave: int = 0
 ) -> RealArray:
     """``(m,)`` flexibility of contact rows behind springs of their own, zero of others [m/N]; as in ``find_springs``.
 
@@ -57,7 +60,7 @@ def find_own_springs(
     """
     found = np.zeros(len(rows))
     try:
-        far = measure_beyond(model, rows, omega, highest * FAR)
+        far = measure_beyond(model, rows, omega, highest * FAR, wave)
     except ModelError:  # one hits an undamped mode exactly
         return found
     for part in np.lib.stride_tricks.sliding_window_view(far, IN_A_ROW, axis=0)[::-1]:  # the nearest counts, the last
@@ -67,7 +70,7 @@ def find_own_springs(
     return np.where(found > LEAST_FAR * flexibility, found, 0.0)
 
 
-def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int) -> RealArray:
+def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int, wave: int = 0) -> RealArray:
     """``(m,)`` mass of contact rows that move beyond a highest harmonic as masses by themselves, zero of others [kg].
 
     Not of those that damping holds there more than inertia does.
@@ -77,12 +80,13 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
         rows: ``(m, n)`` rows along which pairs rub, all of them: they may not move each other.
         omega: Angular frequency of the first harmonic [rad/s].
         highest: Highest harmonic that is kept.
+        wave: Of a ring, in which the rows are seen.
     """
     found, beyond = np.zeros(len(rows)), np.array(list_beyond(highest))
     try:
-        if np.all(measure_beyond(model, rows, omega, beyond[:1]).real >= 0):  # mostly: one harmonic tells
+        if np.all(measure_beyond(model, rows, omega, beyond[:1], wave).real >= 0):  # mostly: one harmonic tells
             return found
-        own, rates = measure_beyond(model, rows, omega, beyond), beyond * omega
+        own, rates = measure_beyond(model, rows, omega, beyond, wave), beyond * omega
     except ModelError:  # one hits an undamped mode exactly
         return found
     inertia = -1 / (own * rates[:, None] ** 2)
@@ -90,19 +94,21 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
     alike = (mass.min(axis=0) > 0) & (mass.max(axis=0) < ALIKE * mass.min(axis=0))
     alike = np.flatnonzero(alike & np.all(damped < mass, axis=0))
     if alike.size:
-        moved = np.array([receptance(model, rate, rows, rows[alike].T) for rate in rates])
+        moved = np.array([receptance(model, rate, rows, rows[alike].conj().T, wave) for rate in rates])
         others = np.abs(moved).sum(axis=1) - np.abs(own[:, alike])
         alone = alike[np.all(others < ALONE * np.abs(own[:, alike]), axis=0)]
         found[alone] = mass[:, alone].mean(axis=0)
     return found
 
 
-def measure_beyond(model: ReducedModel, rows: RealArray, omega: float, orders: Sequence[int]) -> ComplexArray:
+def measure_beyond(
+    model: ReducedModel, rows: RealArray, omega: float, orders: Sequence[int], wave: int = 0
+) -> ComplexArray:
     """``(n_h, m)`` flexibility of each contact row by itself at harmonics of ``omega``, the diagonal of H [m/N]."""
-    modes = find_normal_modes(model)
+    modes = find_normal_modes(model, wave)
     if modes is None:
-        return np.array([np.diagonal(receptance(model, h * omega, rows, rows.T)) for h in orders])
-    return modes.gain(np.asarray(orders) * omega) @ (rows @ modes.shapes).T ** 2
+        return np.array([np.diagonal(receptance(model, h * omega, rows, rows.conj().T, wave)) for h in orders])
+    return modes.gain(np.asarray(orders) * omega) @ np.abs(rows @ modes.shapes).T ** 2
 
 
 def average(sizes: RealArray) -> RealArray:

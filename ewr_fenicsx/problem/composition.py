@@ -65,8 +65,10 @@ def compose(problem: Statement) -> ContactSystem:
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
-        flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, layout.rows, problem.omega))
-    compliance = condense(layout.model, layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse)
+        usual = layout.rows_in(wave := layout.usual_wave)
+        flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, usual, problem.omega, wave))
+    rows = layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse, layout.next_rows
+    compliance = condense(layout.model, *rows)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
     return ContactSystem(
         layout=layout,
@@ -165,7 +167,8 @@ def choose_closing(
     highest = problem.basis.orders[-1]
     if not problem.has_springs or not highest:
         return np.zeros(pairs.size)
-    return find_springs(layout.model, layout.rows[rows], flexibility, problem.omega, highest)
+    wave = layout.usual_wave
+    return find_springs(layout.model, layout.rows_in(wave)[rows], flexibility, problem.omega, highest, wave)
 
 
 def choose_closing_mass(
@@ -186,10 +189,11 @@ def choose_closing_mass(
     held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
     if problem.has_masses and highest and held and not rubs_to_hold:
         odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
-        rows = layout.rows[at[at >= 0]]
-        masses[at >= 0] = find_masses(layout.model, rows, problem.omega, odd)
+        wave = layout.usual_wave
+        rows = layout.rows_in(wave)[at[at >= 0]]
+        masses[at >= 0] = find_masses(layout.model, rows, problem.omega, odd, wave)
         if problem.has_springs and np.any(masses):
-            own = find_own_springs(layout.model, rows, flexibility[at[at >= 0]], problem.omega, highest)
+            own = find_own_springs(layout.model, rows, flexibility[at[at >= 0]], problem.omega, highest, wave)
             masses[at >= 0] *= own == 0
     return masses[pairs]
 

@@ -230,7 +230,7 @@ class ContactProblem:
         total = dict(self.loads)
         for h, amplitude in self.given_force.items() if self.model.normal is not None else ():
             if np.any(amplitude):  # symmetry may have left the harmonic of others out
-                total[h] = total.get(h, 0) + self.model.normal.T @ amplitude
+                total[h] = total.get(h, 0) + self.model.rows("normal", self.model.wave_of(h)).conj().T @ amplitude
         return total
 
     @cached_property

@@ -14,9 +14,9 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
-from ewr_fenicsx.model.receptance import receptance
+from ewr_fenicsx.model.receptance import measure_at_rest
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.restriction import restrict
 
@@ -68,7 +68,8 @@ class Layout:
     Attributes:
         model: The model with bonded rows projected out, ``n'`` coordinates.
         expansion: ``(n, n')`` from its coordinates to those of the problem's model.
-        rows: ``(m, n')`` contact rows that carry an unknown force.
+        rows: ``(m, n')`` contact rows that carry an unknown force; of a ring those in wave 0.
+        next_rows: ``(m, n')`` what the next sector's coordinates add to them; None: nothing.
         index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
         flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out; with two tangents a pair
             the mean of both [m/N].
@@ -78,9 +79,21 @@ class Layout:
     model: ReducedModel
     expansion: RealArray
     rows: RealArray
+    next_rows: RealArray | None
     index: Mapping[str, np.ndarray]
     flexibility: RealArray
     mobility: RealArray
+
+    def rows_in(self, wave: int) -> RealArray | ComplexArray:
+        """The rows in a wave of a ring, ``(m, n')``."""
+        if wave == 0 or self.next_rows is None:
+            return self.rows
+        return self.rows + (self.model.cyclic.lag(wave) - 1) * self.next_rows
+
+    @property
+    def usual_wave(self) -> int:
+        """The wave of harmonic 1, in which flexibilities are measured; 0 where there is no ring."""
+        return self.model.wave_of(1)
 
     def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
@@ -107,21 +120,30 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     held, active = [np.zeros((0, model.size))], {}
     for demand in demands:
         pairs = np.array(demand.pairs, dtype=int)
+        if model.joins_sectors and any(np.any(model.next_rows(direction)[pairs]) for direction in demand.held):
+            raise ModelError(
+                "pairs between sectors are bonded; let sectors share what is bonded, as a part of their cuts"
+            )
         held += [model.rows(direction)[pairs] for direction in demand.held]
         for direction in demand.active:
             acting = pairs[_moves(model, direction, pairs)] if direction in demand.resting else pairs
             active.setdefault(direction, []).append(acting)
     active = {direction: np.sort(np.concatenate(active[direction])) for direction in DIRECTIONS if direction in active}
     directions = {direction: pairs for direction, pairs in active.items() if pairs.size}
-    rows = np.vstack([np.zeros((0, model.size)), *(model.rows(name)[pairs] for name, pairs in directions.items())])
+    gather = lambda read: np.vstack(  # noqa: E731
+        [np.zeros((0, model.size)), *(read(name)[pairs] for name, pairs in directions.items())]
+    )
+    rows, next_rows = gather(model.rows), gather(model.next_rows) if model.joins_sectors else None
+    wave = model.wave_of(1)
+    usual = gather(lambda name: model.rows(name, wave))
     index, start = {}, 0
     for name, pairs in directions.items():
         index[name] = np.full(model.pairs, -1)
         index[name][pairs] = np.arange(start, start + pairs.size)
         start += pairs.size
     kept, expansion = hold(model, np.vstack(held))
-    whole, rows = rows, rows @ expansion
-    immobile = np.linalg.norm(rows, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
+    whole, usual = usual, usual @ expansion
+    immobile = np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
     if np.any(immobile):
         places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
         name, pair = places[int(np.argmax(immobile))]
@@ -130,19 +152,21 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
             f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is held by supports, "
             f"or held by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
         )
-    flexibility, mobility = measure_flexibility(kept, rows)
+    flexibility, mobility = measure_flexibility(kept, usual, wave)
     if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
         twins = np.array([index[direction] for direction in TANGENTS])
         twins = twins[:, np.all(twins >= 0, axis=0)]
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
-    return Layout(kept, expansion, rows, index, flexibility, mobility)
+    next_rows = None if next_rows is None else next_rows @ expansion
+    return Layout(kept, expansion, rows @ expansion, next_rows, index, flexibility, mobility)
 
 
 def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
     """Which pairs have a row other than zero along a tangent, or along the first one in their plane."""
     at = DIRECTIONS.index(tangent)
-    seen = [model.rows(tangent), *(model.rows(d) for d in model.tangent_directions if DIRECTIONS.index(d) > at)]
+    along = [tangent, *(d for d in model.tangent_directions if DIRECTIONS.index(d) > at)]
+    seen = [model.rows(direction, model.wave_of(1)) for direction in along]
     return np.any([np.any(rows[pairs], axis=1) for rows in seen], axis=0)
 
 
@@ -193,16 +217,18 @@ def _advise(direction: str, moves_in_plane: bool) -> str:
     return "leave the pair out, or make it frictionless"
 
 
-def measure_flexibility(model: ReducedModel, rows: RealArray) -> tuple[RealArray, RealArray]:
+def measure_flexibility(
+    model: ReducedModel, rows: RealArray | ComplexArray, wave: int = 0
+) -> tuple[RealArray, RealArray]:
     """Static flexibility of each row by itself ``(m,)`` [m/N]; where nothing bends, 0 and the row's mobility [1/kg]."""
     mobility = np.zeros(rows.shape[0])
     if rows.shape[0] == 0:
         return mobility, mobility
-    elastic = np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
+    elastic = measure_at_rest(model, rows, wave)
     norms = np.linalg.norm(rows, axis=1)
     rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
     if np.any(rigid):
-        inverse = scipy.linalg.pinvh(model.mass)  # other coordinates may have no mass
-        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].T)
+        inverse = scipy.linalg.pinvh(model.matrix("mass", wave))  # other coordinates may have no mass
+        mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].conj().T).real
         elastic[rigid] = 0.0
     return elastic, mobility

@@ -62,8 +62,8 @@ class PeriodicMotion:
         system = self.problem.system
         amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
         for j, h in enumerate(self.orders):
-            force = system.rows.T @ self.forces[j] + system.load.get(h, 0)
             wave = system.model.wave_of(h)
+            force = system.layout.rows_in(wave).conj().T @ self.forces[j] + system.load.get(h, 0)
             amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None], wave)[:, 0]
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
@@ -200,7 +200,8 @@ class PeriodicMotion:
         apart, sought = np.zeros((len(self.orders), model.pairs), dtype=complex), rows >= 0
         apart[:, sought] = self.row_motion[:, rows[sought]]
         if not np.all(sought):
-            apart[:, ~sought] = self.coordinates @ model.rows(direction)[~sought].T
+            for j, h in enumerate(self.orders):
+                apart[j, ~sought] = model.rows(direction, model.wave_of(h))[~sought] @ self.coordinates[j]
         return apart
 
     @property
@@ -251,7 +252,9 @@ class PeriodicMotion:
         )
         for j, h in enumerate(self.orders):
             known = [d for d in found if d != "normal" or model.normal is not None]
-            given = self.problem.loads.get(h, 0) + sum(model.rows(d).T @ found[d][j] for d in known)
+            given = self.problem.loads.get(h, 0) + sum(
+                model.rows(d, model.wave_of(h)).conj().T @ found[d][j] for d in known
+            )
             left = elastic[j] + viscous[j] + inertial[j] - given
             force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
             start = 0

@@ -92,6 +92,56 @@ def test_a_sector_moves_as_those_of_the_whole_ring(engine_order, coupled_damping
     assert one.coordinates == pytest.approx(every.coordinates[:, :own], abs=1e-9 * np.abs(one.coordinates).max())
 
 
+def shroud(engine_order: int) -> ReducedModel:
+    """A second pair between coordinates 4, 5 and the next sector's 6, 7, pressed together."""
+    sector, axes, none = draw_sector(), np.eye(4 + INTERIOR + 2 * CUT), np.zeros((1, 4 + INTERIOR + 2 * CUT))
+    load = dict(sector.load)
+    load[0] = load[0] + 2000 * (axes[4] - axes[6])
+    sector = replace(
+        sector,
+        normal=np.vstack([sector.normal, -axes[4]]),
+        tangential=np.vstack([sector.tangential, axes[5]]),
+        load=load,
+    )
+    following = {"normal": np.vstack([none, axes[6]]), "tangential": np.vstack([none, -axes[7]])}
+    return close_ring(sector, LOW, HIGH, sectors=SECTORS, engine_order=engine_order, turn=turn(SECTORS), **following)
+
+
+@pytest.mark.parametrize("engine_order", [0, 1, 2, -1])
+def test_pairs_between_sectors_rub_as_in_the_whole_ring(engine_order):
+    model = shroud(engine_order)
+    one, every = (solve(ContactProblem(m, RUB, frequency=60.0, **ALIKE)) for m in (model, unroll_ring(model)))
+    speed = one.sliding_speed(160)
+    assert np.all(speed.max(axis=0) > 0.05) and model.joins_sectors
+    assert SECTORS * one.merit["friction_dissipation"] == pytest.approx(every.merit["friction_dissipation"], rel=1e-9)
+    for name in ("normal_force", "friction_force", "gap", "slip"):
+        expected = every.history(name, 160)[:, :2]
+        assert one.history(name, 160) == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+    expected = every.output("tip_0")
+    assert one.output("tip") == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_pairs_between_sectors_are_not_bonded():
+    glue = ContactLaws(normal="bonded", tangential="bonded")
+    with pytest.raises(ModelError, match="pairs between sectors are bonded; let sectors share"):
+        solve(ContactProblem(shroud(1), [([0], RUB), ([1], glue)], frequency=60.0))
+    solve(ContactProblem(shroud(1), [([1], RUB), ([0], glue)], frequency=60.0))
+
+
+@pytest.mark.parametrize("engine_order", [1, 2, 3])
+def test_masses_that_rub_on_their_neighbours_alone(engine_order):
+    """No cut: contact alone joins the sectors, and where all are in phase, as harmonic 3 of order 2, nothing rubs."""
+    mass = ReducedModel([[1.0]], [[20.0]], [[1e6]], tangential=[[1.0]], load={1: [100.0]}, outputs={"mass": [1.0]})
+    model = close_ring(mass, [], [], sectors=6, engine_order=engine_order, tangential=[[-1.0]])
+    pressed = ContactLaws(normal="prescribed", normal_force=100.0, friction=0.3)
+    options = {"harmonics": 7, "samples": 240, "closure": "dashpot", "rho_tangential": 1e-3}
+    one, every = (solve(ContactProblem(m, pressed, 150.0, **options)) for m in (model, unroll_ring(model)))
+    assert one.output("mass") == pytest.approx(every.output("mass_0"), abs=1e-12 * np.abs(one.output("mass")[1]))
+    assert (abs(one.output("mass")[3]) < 1e-15) == (engine_order == 2)
+    usual = solve(ContactProblem(model, pressed, 150.0, harmonics=7))
+    assert usual.problem.system.flexibility == pytest.approx(1e-6 * (2 - 2 * np.cos(np.pi * engine_order / 3)))
+
+
 def test_bonds_carry_the_same_as_in_the_whole_ring():
     model, glued = ring(2), ContactLaws(normal="bonded", tangential="bonded")
     one, every = (solve(ContactProblem(m, glued, frequency=60.0)) for m in (model, unroll_ring(model)))
@@ -153,6 +203,11 @@ def test_products_with_amplitudes_are_those_with_each_waves_matrix(tmp_path):
 
 def test_a_ring_survives_files_and_pickles(tmp_path):
     model = ring(2)
+    rubs = shroud(2)
+    rubs.save(tmp_path / "shroud.h5")
+    copy = ReducedModel.load(tmp_path / "shroud.h5")
+    assert np.array_equal(copy.rows("normal", 2), rubs.rows("normal", 2)) and copy.joins_sectors
+    assert _is_same(rubs, copy) and not _is_same(rubs, model)
     model.save(tmp_path / "ring.h5")
     for copy in (ReducedModel.load(tmp_path / "ring.h5"), pickle.loads(pickle.dumps(model))):
         assert (copy.cyclic.sectors, copy.cyclic.engine_order) == (SECTORS, 2)
@@ -192,7 +247,10 @@ def test_a_free_ring_has_the_rigid_motions_that_its_cuts_let_it():
         ({"low": LOW[:1]}, "low has 1 coordinates and high 2"),
         ({"low": [99, 98]}, "low: give the numbers of coordinates, 0 to 12"),
         ({"low": [0.5, 1]}, "low: give the numbers of coordinates"),
-        ({"high": []}, "high: give the numbers of coordinates"),
+        ({"high": []}, "low has 2 coordinates and high 0"),
+        ({"normal": np.ones((2, 13))}, r"normal: rows of the next sector have shape \(2, 13\); give \(1, 13\)"),
+        ({"normal": np.eye(13)[12:]}, "contact rows: on coordinates of the high cut"),
+        ({"sector": replace(draw_sector(), tangential=None), "tangential": np.ones((1, 13))}, "the sector has none"),
         ({"high": LOW}, "coordinate 9 is named twice"),
         ({"turn": np.eye(3)}, r"turn has shape \(3, 3\); give \(2, 2\), a rotation"),
         ({"turn": 2 * np.eye(2)}, "a rotation"),
@@ -217,6 +275,10 @@ def test_what_makes_no_ring_is_refused(change, told):
 
 def test_couplings_that_do_not_fit_are_refused():
     model = ring(1)
+    with pytest.raises(ModelError, match="normal of the next sector needs as many rows as normal of the model has"):
+        replace(model, cyclic=replace(model.cyclic, normal=np.ones((2, 11))))
+    with pytest.raises(ModelError, match=r"normal of the next sector has shape \(1, 3\)"):
+        replace(model.cyclic, normal=np.ones((1, 3)))
     with pytest.raises(ModelError, match="cyclic has matrices of 1 coordinates, and the model 11"):
         replace(model, cyclic=CyclicSymmetry(5, 1, *np.zeros((3, 1, 1))))
     with pytest.raises(ModelError, match="mass is not positive semidefinite"):
