@@ -18,7 +18,6 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
-_BENDS = 1e-12  # of a mode's stiffness, as scaled here, below which it is rounding
 _REMEMBERED = 24  # models and waves, as much memory as a matrix each
 
 
@@ -91,8 +90,7 @@ def find_undamped_modes(model: ReducedModel, wave: int = 0) -> NormalModes | Non
         return None
     shapes *= scale[:, None]
     modal = 1 - shift * mass
-    if wave == 0:
-        modal[model.size - model.rigid_modes.shape[1] :] = 0.0  # ascending in mass: the rigid modes come last
+    modal[model.size - model.count_rigid(wave) :] = 0.0  # ascending in mass: the rigid modes come last
     return NormalModes(shapes, modal, mass, np.einsum("ij,ij->j", shapes.conj(), damping @ shapes).real)
 
 
@@ -158,7 +156,7 @@ def measure_at_rest(model: ReducedModel, rows: RealArray, wave: int = 0) -> Real
     modes = find_undamped_modes(model, wave) if wave else None
     if modes is None:
         return np.diag(receptance(model, 0.0, rows, rows.T)).real.copy()
-    bends = modes.stiffness > _BENDS
+    bends = modes.stiffness > 0
     return np.abs(rows @ modes.shapes[:, bends]) ** 2 @ (1 / modes.stiffness[bends])
 
 

@@ -43,6 +43,7 @@ _REMEDIES = {  # what to do about complex ones
     "tangential": "give real rows, in real coordinates",
 }
 SMALLEST_LOAD, LARGEST_LOAD = 1e-100, 1e100  # [N] of all entries the largest: squares must stay numbers
+_HELD = 1e-9  # of a rigid motion by neighbours, over the stiffness, below which it is rounding
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
@@ -203,6 +204,14 @@ class ReducedModel:
     def matrix(self, name: str, wave: int = 0) -> RealArray | ComplexArray:
         """``"mass"``, ``"damping"`` or ``"stiffness"`` in a wave of the ring, ``(n, n)``: real in wave 0."""
         return getattr(self, name) if wave == 0 else getattr(self, name) + self.cyclic.differ(name, wave)
+
+    def count_rigid(self, wave: int = 0) -> int:
+        """How many rigid motions there are in a wave of the ring: of bodies that hang together with no neighbour."""
+        count = self.rigid_modes.shape[1]
+        if wave == 0 or not count:
+            return count
+        held = self.cyclic.differ("stiffness", wave) @ (self.rigid_modes / np.abs(self.rigid_modes).max(axis=0))
+        return count - int(np.linalg.matrix_rank(held, tol=_HELD * np.abs(self.stiffness).max()))
 
     def react(self, name: str, amplitudes: ComplexArray, orders: Sequence[int]) -> ComplexArray:
         """Products of such a matrix with amplitudes ``(n_h, n)`` at harmonics ``orders``, each in its wave."""

@@ -168,7 +168,7 @@ def unroll_ring(model: ReducedModel) -> ReducedModel:
             return None if rows is None else np.kron(alone, rows)
         return np.kron(alone, rows - following) + np.kron(to_next, following)
 
-    independent = not np.any(ring.stiffness.T @ model.rigid_modes) and not np.any(ring.stiffness @ model.rigid_modes)
+    independent = model.count_rigid(1) == model.rigid_modes.shape[1]
     return ReducedModel(
         **{name: spread(name) for name in COUPLINGS},
         **{name: repeat(name) for name in ROWS},

@@ -16,10 +16,10 @@ from ewr_fenicsx.structure.mesh import find_cells_beside, number_faces
 
 
 def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
-    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides."""
+    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides here."""
     space, interface = chain.structure.space, chain.interface
     component, parents = space.sub(0).collapse()
-    pairs = find_pairs(chain, interface.nodes_a, interface.nodes_b)[np.asarray(parents) // space.dofmap.bs]
+    pairs = find_pairs(chain, interface.nodes_a, interface.nodes_b_here)[np.asarray(parents) // space.dofmap.bs]
     field = dolfinx.fem.Function(component)
     to_nodes = node_interpolation(component)
 
@@ -52,7 +52,7 @@ def _lend_to_corners(chain: Chain, pair_of_node: Mapping[int, int]) -> dict[int,
     space, mesh = chain.structure.space, chain.mesh
     mesh.domain.topology.create_connectivity(2, 3)
     mesh.domain.topology.create_connectivity(3, 2)
-    facets = np.concatenate([boundary_facets(mesh, name) for name in chain.interface.flanks])
+    facets = np.concatenate([boundary_facets(mesh, name) for name in chain.interface.boundaries])
     cells = find_cells_beside(mesh, facets)
     layout, place, lent = space.dofmap.dof_layout, space.tabulate_dof_coordinates(), []
     for cell, number in zip(cells, number_faces(mesh, cells, facets).tolist(), strict=True):

@@ -11,7 +11,7 @@ from ewr_fenicsx.output.gathering import Cells, gather_cells
 from ewr_fenicsx.output.mesh_plots import stretch
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.structure.sector_cuts import rotate_by_sector
+from ewr_fenicsx.structure.mesh import rotate_by_sector
 
 
 def gather_ring(chain: Chain, solution: PeriodicSolution) -> Cells | None:

@@ -238,6 +238,12 @@ class Scene(Section):
             return _spread(asked.from_, asked.to, asked.points)
         return (asked,)
 
+    @property
+    def listed_flanks(self) -> tuple[str, ...] | None:
+        """Flanks that are named, those between sectors included; None: the mesh tells which there are."""
+        beyond = tuple(self.cyclic.flanks) if self.cyclic else ()
+        return None if self.contact.flanks is None else (*self.contact.flanks, *beyond)
+
     def laws_on(self, flank: str) -> Contact:
         """The joint's entries as they hold on one flank."""
         own = self.flanks.get(flank)

@@ -183,7 +183,7 @@ def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str
         flanks: All flanks of the joint, which the mesh knows; None: those that the scene lists, or any.
     """
     own = {f"flanks.{name}": scene.laws_on(name) for name in scene.flanks}
-    flanks = scene.contact.flanks if flanks is None else flanks
+    flanks = scene.listed_flanks if flanks is None else flanks
     covered = flanks is not None and set(flanks) <= set(scene.flanks)
     return own if covered else {"contact": scene.contact} | own
 
@@ -299,14 +299,14 @@ def _check_supports(scene: Scene) -> Iterator[str]:
 
 
 def _check_ring(scene: Scene) -> Iterator[str]:
-    supports, cuts = scene.supports, scene.cyclic.cuts if scene.cyclic else ()
+    supports, ends = scene.supports, {*scene.cyclic.boundaries.values()} if scene.cyclic else ()
     named = {"supports.clamp": supports.clamp, "supports.hold": supports.hold, "contact.flanks": scene.contact.flanks}
     named |= {f"loads.{name}.boundary": [getattr(load, "boundary", None)] for name, load in scene.loads.items()}
     named |= {f"outputs.{name}.boundary": [output.boundary] for name, output in scene.outputs.items()}
     for key, names in named.items():
-        for cut in cuts:
-            if cut in (names or ()):
-                yield f'{key}: "{cut}" is a cut of cyclic, where the next sector goes on; name another boundary'
+        for end in sorted(ends):
+            if end in (names or ()):
+                yield f'{key}: "{end}" is an end of the sector, where [cyclic] goes on; name another'
 
 
 def _check_accuracy(scene: Scene) -> Iterator[str]:
@@ -335,7 +335,7 @@ def _check_excitation(scene: Scene) -> Iterator[str]:
 def _check_laws(scene: Scene) -> Iterator[str]:
     joint = laws_in_force(scene)
     for name in scene.flanks:
-        if scene.contact.flanks is not None and name not in scene.contact.flanks:
+        if scene.listed_flanks is not None and name not in scene.listed_flanks:
             yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it there"
     for where, laws in joint.items():
         if laws.normal == "prescribed" and laws.normal_force is None:

@@ -138,9 +138,18 @@ class Cyclic(Section):
         "later. Negative: it travels the other way; 0: all sectors are in phase.",
         strict=True,
     )
-    low: str = entry(..., "-", "Boundary where the sector is cut from the one before.")
-    high: str = entry(
-        ..., "-", "Boundary where it is cut from the next one: `low` turned by `360 / sectors` degrees, node by node."
+    low: str | None = entry(
+        None, "-", "Boundary where the sector is cut from the one before; none where only `flanks` join the sectors."
+    )
+    high: str | None = entry(
+        None, "-", "Boundary where it is cut from the next one: `low` turned by `360 / sectors` degrees, node by node."
+    )
+    flanks: dict[str, tuple[str, str]] = entry(
+        {},
+        "-",
+        "Name = boundary on which the next sector lies, and which of its boundaries that is, as "
+        '`{ shroud = ["right_face", "left_face"] }`: contact between sectors, with the laws of `[contact]` or of '
+        "`[flanks.NAME]`.",
     )
     centre: Vector = entry(
         (0.0, 0.0), "m", "Where the axis meets the plane (x, y), of solids any point of it (x, y, z)."
@@ -156,16 +165,30 @@ class Cyclic(Section):
 
     @model_validator(mode="after")
     def check_cuts(self) -> Cyclic:
-        if self.low == self.high:
+        if (self.low is None) != (self.high is None):
+            raise PydanticCustomError("cuts", "a sector has two cuts: give low and high, or neither")
+        if self.low is None and not self.flanks:
+            raise PydanticCustomError("cuts", "nothing joins the sectors: give low and high, or flanks, or both")
+        if self.low and self.low == self.high:
             raise PydanticCustomError(
                 "cuts", 'low and high are both "{name}"; a sector has two cuts', {"name": self.low}
             )
+        for name, both in self.flanks.items():
+            if len({*both, *self.cuts}) < len(both) + len(self.cuts):
+                what = {"name": name, "both": " and ".join(both)}
+                raise PydanticCustomError("flanks", "{name} is on {both}: give two boundaries that are no cuts", what)
         return self
 
     @property
-    def cuts(self) -> tuple[str, str]:
-        """Both boundaries."""
-        return self.low, self.high
+    def cuts(self) -> tuple[str, ...]:
+        """Both cuts, or none."""
+        return (self.low, self.high) if self.low and self.high else ()
+
+    @property
+    def boundaries(self) -> dict[str, str]:
+        """Key of each boundary that is named, and its name."""
+        named = {"low": self.low, "high": self.high} if self.cuts else {}
+        return named | {f"flanks.{name}[{k}]": both[k] for name, both in self.flanks.items() for k in (0, 1)}
 
 
 class ForceLoad(Section):

@@ -33,9 +33,9 @@ from ewr_fenicsx.structure import elasticity, materials
 from ewr_fenicsx.structure._compat import measure_compilation
 from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
 from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
-from ewr_fenicsx.structure.mesh import JointMesh, build_mesh, measure_extent
+from ewr_fenicsx.structure.mesh import JointMesh, Ring, build_mesh, measure_extent
 from ewr_fenicsx.structure.reduction import CraigBampton, reduce_structure
-from ewr_fenicsx.structure.sector_cuts import Ring, find_cuts
+from ewr_fenicsx.structure.sector_cuts import find_cuts
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
 JIT = "JIT"  # compilation of forms and spaces
@@ -119,7 +119,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene = {scene!r}; give a scene as load_scene(path) returns it")
-    check_laws(scene, scene.contact.flanks or tuple(scene.flanks) or None)  # before a mesh is made for nothing
+    check_laws(scene, scene.listed_flanks or tuple(scene.flanks) or None)  # before a mesh is made for nothing
     watch = Stopwatch(progress)
     with watch.stage("mesh"):
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
@@ -143,18 +143,20 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
-            elsewhere = [*scene.supports.boundaries, *(scene.cyclic.cuts if scene.cyclic else ())]
+            ring = _ring(scene, mesh.dimension)
+            elsewhere = [*scene.supports.boundaries, *(scene.cyclic.boundaries.values() if ring else ())]
             interface = pair_interface(
                 structure,
                 contact.flanks,
                 body_a=contact.body_a,
-                body_b=contact.body_b,
+                body_b=contact.body_b if _has_body_b(scene, mesh) else None,
+                ring=ring,
                 tolerance=contact.pair_tolerance,
                 in_use=[*elsewhere, *(getattr(entry, "boundary", None) for entry in followed)],
             )
             joint = interface.flanks, contact.body_a, contact.body_b
             doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.boundaries))
-            cuts = find_cuts(structure, interface, _ring(scene, mesh.dimension)) if scene.cyclic else None
+            cuts = find_cuts(structure, interface, ring) if ring else None
         check_flanks(scene, interface)
         check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
         with watch.stage("reduction"):
@@ -257,11 +259,12 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
     """
     contact = scene.contact
     bodies = {f"materials.{body}": body for body in scene.materials}
-    bodies |= {"contact.body_a": contact.body_a, "contact.body_b": contact.body_b}
+    bodies |= {"contact.body_a": contact.body_a}
+    bodies |= {"contact.body_b": contact.body_b} if _has_body_b(scene, mesh) else {}
     boundaries = {f"supports.clamp[{k}]": name for k, name in enumerate(scene.supports.clamp)}
     boundaries |= {f"supports.hold.{name}": name for name in scene.supports.hold}
     if scene.cyclic:
-        boundaries |= {"cyclic.low": scene.cyclic.low, "cyclic.high": scene.cyclic.high}
+        boundaries |= {f"cyclic.{key}": name for key, name in scene.cyclic.boundaries.items()}
     boundaries |= {f"contact.flanks[{k}]": name for k, name in enumerate(contact.flanks or ())}
     boundaries |= {
         f"{table}.{name}.boundary": entry.boundary
@@ -347,8 +350,15 @@ def _damping(scene: Scene) -> materials.Damping:
     return materials.RayleighRatios(damping.frequencies, damping.ratios)
 
 
-def _ring(scene: Scene, dimension: int) -> Ring:
-    asked = scene.cyclic
+def _has_body_b(scene: Scene, mesh: JointMesh) -> bool:
+    """Not where all flanks are between the sectors of a ring, and nobody named a second body."""
+    may_lack = scene.cyclic and scene.cyclic.flanks and "body_b" not in scene.contact.model_fields_set
+    return not may_lack or scene.contact.body_b in mesh.bodies
+
+
+def _ring(scene: Scene, dimension: int) -> Ring | None:
+    if (asked := scene.cyclic) is None:
+        return None
     centre = asked.centre if "centre" in asked.model_fields_set else (0.0,) * dimension
     if len(centre) != dimension:
         raise SceneError(
@@ -356,7 +366,7 @@ def _ring(scene: Scene, dimension: int) -> Ring:
         )
     if dimension == 2 and any(asked.axis[:2]):
         raise SceneError(f"{scene.where}: cyclic.axis = {list(asked.axis)}: a plane turns about an axis normal to it")
-    return Ring(asked.sectors, asked.engine_order, asked.low, asked.high, centre, asked.axis)
+    return Ring(asked.sectors, asked.engine_order, asked.low, asked.high, centre, asked.axis, asked.flanks)
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

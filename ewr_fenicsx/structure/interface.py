@@ -7,7 +7,7 @@ Every rank holds the same interface.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import dolfinx
 import numpy as np
@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity
-from ewr_fenicsx.structure.mesh import find_body_of_cells, find_cells_beside
-from ewr_fenicsx.structure.pair_frames import measure_turn, turn_along_supports, turn_tangents
+from ewr_fenicsx.structure.mesh import Ring, find_body_of_cells, find_cells_beside, rotate_by_sector
+from ewr_fenicsx.structure.pair_frames import follow_rows, follow_tangent, measure_turn, turn_along_supports
 
 STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
@@ -45,6 +45,10 @@ class Interface:
         nodes_b: Global node numbers on body B, ``(K_c,)``.
         normal_gap: ``(K_c, all dofs)``: ``q_N = normal_gap @ u = (u_b - u_a).n``, opening is positive.
         tangential_slip: ``(K_c (d - 1), all dofs)``, pair-major: ``q_T = tangential_slip @ u = (u_a - u_b).t``.
+        boundaries: Of each flank that which A's nodes are on.
+        is_next: Which pairs have their node of B in the next sector of a ring, ``(K_c,)``: their rows lack its part.
+        position_b: Where B's nodes are in the mesh, ``(K_c, d)`` [m]: of the next sector, turned back.
+        next_normal_gap, next_tangential_slip: That part, to be multiplied with the next sector's ``u``; None: none is.
     """
 
     flanks: tuple[str, ...]
@@ -57,6 +61,16 @@ class Interface:
     nodes_b: np.ndarray
     normal_gap: scipy.sparse.csr_matrix
     tangential_slip: scipy.sparse.csr_matrix
+    boundaries: tuple[str, ...]
+    is_next: np.ndarray
+    position_b: np.ndarray
+    next_normal_gap: scipy.sparse.csr_matrix | None = None
+    next_tangential_slip: scipy.sparse.csr_matrix | None = None
+
+    @property
+    def nodes_b_here(self) -> np.ndarray:
+        """B's nodes, ``(K_c,)``, those of A where B's are in the next sector."""
+        return np.where(self.is_next, self.nodes_a, self.nodes_b)
 
     @property
     def tangent(self) -> np.ndarray:
@@ -88,68 +102,80 @@ def pair_interface(
     structure: elasticity.Structure,
     flanks: Sequence[str] | None = None,
     body_a: str = "blade",
-    body_b: str = "disk",
+    body_b: str | None = "disk",
     tolerance: float = 1e-6,
     in_use: Sequence[str] = (),
+    ring: Ring | None = None,
 ) -> Interface:
-    """Pairs the nodes of two bodies across their flanks.
+    """Pairs the nodes of two bodies across their flanks, and those of a sector across its flanks to the next one.
 
     Args:
         structure: Of the mesh that holds both bodies.
         flanks: Names of the boundaries that lie on both bodies; None: all that do.
         body_a: The body on which the normals point outward.
-        body_b: The other one.
+        body_b: The other one; None: all flanks are between sectors.
         tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
         in_use: Boundaries that are held, loaded or followed: without ``flanks``, no flank where the bodies do not lie
             face to face, such as the feet of two blades.
+        ring: Of which the mesh is a sector; its flanks come after the others.
 
     Raises:
         InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
             tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
             that has both bodies on the same side, or a pair whose nodes are both held across the flank.
     """
-    mesh = structure.mesh
-    for body in (body_a, body_b):
+    mesh, beyond = structure.mesh, ring.flanks if ring else {}
+    for body in filter(None, (body_a, body_b)):
         if body not in mesh.bodies:
             raise InterfaceError(
                 f'no body named "{body}"; there are {", ".join(mesh.bodies)}{nearest(body, mesh.bodies)}'
             )
     if body_a == body_b:
         raise InterfaceError(f'both sides of the joint are on the same body, "{body_a}"; name two')
-    for flank in flanks or ():
+    for flank in [*(flanks or ()), *(name for both in beyond.values() for name in both)]:
         if flank not in mesh.boundaries:
             raise InterfaceError(
                 f'no flank named "{flank}"; there are {", ".join(mesh.boundaries)}{nearest(flank, mesh.boundaries)}'
             )
     # ranks must go through the same collective calls in the same order
-    sides = {
-        name: tuple(_gather_side(structure, name, body) for body in (body_a, body_b))
-        for name in (sorted(mesh.boundaries) if flanks is None else flanks)
-    }
-    if flanks is None:
-        sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
-        apart = [name for name in sides if name in in_use and not _find_bodies_on(structure, name)]
-        sides = {name: pair for name, pair in sides.items() if name not in apart}
-        if not sides:
+    sides = {} if body_b is None else _find_sides(structure, flanks, body_a, body_b, in_use)
+    if not (sides or beyond):
+        raise InterfaceError(
+            f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
+            f"group that holds the {_say_outlines(mesh.dimension)} of both bodies"
+        )
+    whose = dict.fromkeys(sides, (body_a, body_b)) | {n: (a, f"next sector's {b}") for n, (a, b) in beyond.items()}
+    on = (*sides, *(side for side, _ in beyond.values()))
+    for name, (side, other) in beyond.items():
+        if name in sides:
             raise InterfaceError(
-                f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
-                f"group that holds the {_say_outlines(mesh.dimension)} of both bodies"
+                f'flank "{name}" is a boundary of both bodies, too; give that to the next sector another name'
             )
+        sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
     names = tuple(sides)
-    paired = [_pair_sides(name, *sides[name], body_a, body_b, tolerance) for name in names]
+    paired = [_pair_sides(name, *sides[name], *whose[name], tolerance) for name in names]
     for name, (a, b) in zip(names, paired, strict=True):
         _check_smooth(name, a)
-        _check_opposed(name, a, b, body_a, body_b)
+        _check_opposed(name, a, b, *whose[name])
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
-    position = np.concatenate([a.position for a, _ in paired])
+    position, position_b = (np.concatenate([pair[k].position for pair in paired]) for k in (0, 1))
+    is_next = np.array([name in beyond for name in names])[flank_of_pair]
     _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b)
     held = [np.isin(boundaries.list_dofs(nodes, mesh.dimension), structure.fixed) for nodes in (nodes_a, nodes_b)]
-    still, normal = np.all(held, axis=0), np.concatenate([a.normal for a, _ in paired])
+    still = np.all(held, axis=0) & ~is_next[:, None]
+    normal = np.concatenate([a.normal for a, _ in paired])
     _check_free_to_part(names, flank_of_pair, position, normal, still)
     normal, tangents = turn_along_supports(normal, still)
     size = structure.mass.getSize()[0]
     each = np.repeat(np.arange(len(normal)), tangents.shape[1])
+    tangent, here = np.concatenate(tangents), ~is_next[:, None]
+    further = {}
+    if beyond:
+        turned, centre = rotate_by_sector(ring, mesh.dimension), np.array(ring.centre)
+        position_b = np.where(here, position_b, centre + (position_b - centre) @ turned)
+        further["next_normal_gap"] = _move(nodes_b, normal @ turned * ~here, size)
+        further["next_tangential_slip"] = -_move(nodes_b[each], tangent @ turned * ~here[each], size)
     return Interface(
         names,
         flank_of_pair,
@@ -159,9 +185,32 @@ def pair_interface(
         np.concatenate([a.area for a, _ in paired]),
         nodes_a,
         nodes_b,
-        _relative_motion(nodes_b, nodes_a, normal, size),
-        _relative_motion(nodes_a[each], nodes_b[each], np.concatenate(tangents), size),
+        _move(nodes_b, normal * here, size) - _move(nodes_a, normal, size),
+        _move(nodes_a[each], tangent, size) - _move(nodes_b[each], tangent * here[each], size),
+        on,
+        is_next,
+        position_b,
+        **further,
     )
+
+
+def _find_sides(
+    structure: elasticity.Structure, flanks: Sequence[str] | None, body_a: str, body_b: str, in_use: Sequence[str]
+) -> dict[str, tuple[_Side, _Side]]:
+    """Both sides of each flank within the mesh, by name."""
+    names = sorted(structure.mesh.boundaries) if flanks is None else flanks
+    sides = {name: tuple(_gather_side(structure, name, body) for body in (body_a, body_b)) for name in names}
+    if flanks is not None:
+        return sides
+    sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
+    apart = [name for name in sides if name in in_use and not _find_bodies_on(structure, name)]
+    return {name: pair for name, pair in sides.items() if name not in apart}
+
+
+def _turn(side: _Side, ring: Ring, dimension: int) -> _Side:
+    """A side of the next sector, where that is."""
+    rotation, centre = rotate_by_sector(ring, dimension), np.array(ring.centre)
+    return replace(side, position=centre + (side.position - centre) @ rotation.T, normal=side.normal @ rotation.T)
 
 
 def _say_outlines(dimension: int) -> str:
@@ -213,14 +262,14 @@ def _tell_how_to_touch(bodies: tuple[str, ...], body_a: str, body_b: str) -> str
     return f"make one of them a part of {body_a}, the other of {body_b}"
 
 
-def _gather_side(structure: elasticity.Structure, flank: str, body: str) -> _Side:
-    """The nodes of one body on one boundary, from all ranks, in no particular order (but the same everywhere)."""
+def _gather_side(structure: elasticity.Structure, flank: str, body: str | None = None) -> _Side:
+    """The nodes of one body, or of any, on one boundary, from all ranks, in some order (the same everywhere)."""
     mesh, space = structure.mesh, structure.space
     domain, d = mesh.domain, mesh.dimension
     facets = boundaries.boundary_facets(mesh, flank)
     domain.topology.create_connectivity(d - 1, d)
     cells_of = domain.topology.connectivity(d - 1, d)
-    in_body = find_body_of_cells(mesh) == mesh.bodies[body]
+    in_body = np.isin(find_body_of_cells(mesh), [*mesh.bodies.values()] if body is None else mesh.bodies[body])
     mine = np.array([f for f in facets if in_body[cells_of.links(f)].any()], dtype=np.int32)
 
     size = boundaries.integrate_over_boundary(space, mine, np.eye(d)[0]).array[::d]
@@ -257,7 +306,7 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
         raise InterfaceError(
             f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}'
         )
-    order = _follow_tangent(a) if a.position.shape[1] == 2 else _follow_rows(a)
+    order = (follow_tangent if a.position.shape[1] == 2 else follow_rows)(a.position, a.normal)
     length = np.linalg.norm(np.ptp(a.position, axis=0))
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
@@ -313,37 +362,11 @@ def tell_place(position: np.ndarray) -> str:
     return f"({', '.join(f'{x:.6g}' for x in np.round(position, 12) + 0.0)}) m"  # without the minus of -0
 
 
-def _follow_tangent(side: _Side) -> np.ndarray:
-    """Nodes of a side one after the other along its tangent, wherever that turns, as round a bore."""
-    mean = side.normal.mean(axis=0)
-    if np.linalg.norm(mean) < 1e-6:  # a closed curve, or opposite faces: begin at the lowest node
-        mean = np.array([1.0, 0.0])
-    along = side.position @ np.array([-mean[1], mean[0]])
-    first = np.lexsort([side.position[:, 0], np.round(along / np.ptp(side.position, axis=0).max(), 9)])[0]
-    order, left = [first], np.delete(np.arange(len(along)), first)
-    while len(left):
-        step = side.position[left] - side.position[order[-1]]
-        x, y = side.normal[order[-1]]
-        nearest_ahead = np.argmin(2 * np.linalg.norm(step, axis=1) - step @ np.array([-y, x]))
-        order.append(left[nearest_ahead])
-        left = np.delete(left, nearest_ahead)
-    return np.array(order)
-
-
-def _follow_rows(side: _Side) -> np.ndarray:
-    """Nodes of a solid's side along its mean second tangent, and where these are alike along its first one."""
-    mean = side.normal.mean(axis=0)
-    size = np.linalg.norm(mean)
-    mean = mean / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])  # a closed surface, or opposite faces
-    first, second = turn_tangents(mean[None])[0] @ side.position.T
-    return np.lexsort(np.round([first, second] / np.ptp(side.position, axis=0).max(), 9))
-
-
 def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:
-    for nodes in (nodes_a, nodes_b):
+    for nodes in (nodes_a, nodes_b, np.concatenate([nodes_a, nodes_b])):
         _, first, count = np.unique(nodes, return_index=True, return_counts=True)
         if (count > 1).any():
-            k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2]
+            k, other = np.flatnonzero(nodes == nodes[first[count > 1][0]])[:2] % len(nodes_a)
             raise InterfaceError(
                 f'flanks "{names[flank_of_pair[k]]}" and "{names[flank_of_pair[other]]}" share the node '
                 f"at {tell_place(position[k])}; leave a gap between them, or, "
@@ -351,10 +374,8 @@ def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> Non
             )
 
 
-def _relative_motion(plus: np.ndarray, minus: np.ndarray, axis: np.ndarray, size: int) -> scipy.sparse.csr_matrix:
-    """Rows ``(u_plus - u_minus) . axis``."""
+def _move(nodes: np.ndarray, axis: np.ndarray, size: int) -> scipy.sparse.csr_matrix:
+    """Rows ``u . axis`` of nodes."""
     d = axis.shape[1]
-    pairs = np.repeat(np.arange(len(plus)), 2 * d)
-    columns = np.hstack([boundaries.list_dofs(nodes, d) for nodes in (plus, minus)]).ravel()
-    values = np.concatenate([axis, -axis], axis=1).ravel()
-    return scipy.sparse.csr_matrix((values, (pairs, columns)), shape=(len(plus), size))
+    rows, columns = np.repeat(np.arange(len(nodes)), d), boundaries.list_dofs(nodes, d).ravel()
+    return scipy.sparse.csr_matrix((axis.ravel(), (rows, columns)), shape=(len(nodes), size))

@@ -15,7 +15,7 @@ import sys
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
@@ -62,6 +62,38 @@ class JointMesh:
     def cells(self) -> int:
         """Number of cells on all ranks."""
         return self.domain.topology.index_map(self.dimension).size_global
+
+
+@dataclass(frozen=True)
+class Ring:
+    """The ring that equal sectors form, and the wave of the load round it.
+
+    Attributes:
+        sectors: How many there are.
+        engine_order: As in ``CyclicSymmetry``.
+        low: Name of the boundary that the sector before has as its high one; None: only contact joins the sectors.
+        high: Name of that which the next sector has as its low one: the low one, turned by ``2 pi / sectors``.
+        flanks: Name -> the sector's boundary on which the next sector lies, and which of its boundaries that is.
+        centre: Where the axis meets the plane, of solids any point of it, ``(d,)`` [m].
+        axis: Its direction, about which sectors follow one another; of a plane only its last component counts.
+    """
+
+    sectors: int
+    engine_order: int
+    low: str | None
+    high: str | None
+    centre: tuple[float, ...]
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    flanks: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+def rotate_by_sector(ring: Ring, dimension: int) -> np.ndarray:
+    """Rotation about the axis from a sector to the next one, ``(d, d)``, by Rodrigues' formula."""
+    along = np.array(ring.axis) / np.linalg.norm(ring.axis)
+    across = np.cross(np.eye(3), along)  # times a vector: the axis, cross that vector
+    angle = 2 * np.pi / ring.sectors
+    rotation = np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
+    return rotation[:dimension, :dimension]
 
 
 def measure_extent(mesh: JointMesh) -> float:

@@ -1,4 +1,4 @@
-"""Unit vectors at contact nodes: tangents of normals, what supports make of both, and how sharply a flank turns."""
+"""Contact nodes of a flank: their unit vectors, what supports make of these, how sharply they turn, and their order."""
 
 from __future__ import annotations
 
@@ -52,3 +52,29 @@ def measure_turn(size: np.ndarray, normal: np.ndarray, products: np.ndarray) -> 
     bent = (missing > 0.01) & (size > 0)  # less: straight to rounding, or curved inside an edge
     cosine = np.divide(spread, missing, out=np.full_like(size, 2.0), where=bent) - 1
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def follow_tangent(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Order of a plane side's nodes, one after the other along its tangent, wherever that turns, as round a bore."""
+    mean = normal.mean(axis=0)
+    if np.linalg.norm(mean) < 1e-6:  # a closed curve, or opposite faces: begin at the lowest node
+        mean = np.array([1.0, 0.0])
+    along = position @ np.array([-mean[1], mean[0]])
+    first = np.lexsort([position[:, 0], np.round(along / np.ptp(position, axis=0).max(), 9)])[0]
+    order, left = [first], np.delete(np.arange(len(along)), first)
+    while len(left):
+        step = position[left] - position[order[-1]]
+        x, y = normal[order[-1]]
+        nearest_ahead = np.argmin(2 * np.linalg.norm(step, axis=1) - step @ np.array([-y, x]))
+        order.append(left[nearest_ahead])
+        left = np.delete(left, nearest_ahead)
+    return np.array(order)
+
+
+def follow_rows(position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Order of the nodes of a solid's side: along its mean second tangent, where these are alike its first."""
+    mean = normal.mean(axis=0)
+    size = np.linalg.norm(mean)
+    mean = mean / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])  # a closed surface, or opposite faces
+    first, second = turn_tangents(mean[None])[0] @ position.T
+    return np.lexsort(np.round([first, second] / np.ptp(position, axis=0).max(), 9))

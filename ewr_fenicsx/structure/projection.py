@@ -54,9 +54,17 @@ def project(
         model = replace(model, damping=_damp_modes(model, structure.modal_damping))
     if cuts is None:
         return model
-    low = np.arange(contacts, contacts + len(cuts.low))
-    ring = cuts.ring
-    return close_ring(model, low, low + len(low), sectors=ring.sectors, engine_order=ring.engine_order, turn=cuts.turn)
+    low, ring = np.arange(contacts, contacts + len(cuts.low)), cuts.ring
+    further = {"normal": interface.next_normal_gap, "tangential": interface.next_tangential_slip}
+    return close_ring(
+        model,
+        low,
+        low + len(low),
+        sectors=ring.sectors,
+        engine_order=ring.engine_order,
+        turn=cuts.turn,
+        **{name: None if operator is None else rows(operator) for name, operator in further.items()},
+    )
 
 
 def _project_mass(structure: Structure, basis: np.ndarray) -> np.ndarray:
@@ -84,8 +92,10 @@ def _project_stiffness(structure: Structure, basis: np.ndarray, boundary: np.nda
 
 def solve_stuck(model: ReducedModel, wave: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies ``(k,)``, rising, and mass-normalised shapes ``(n, k)`` of full stick, in a wave."""
-    stuck = scipy.linalg.null_space(np.vstack([model.normal, model.tangential]))
-    stiffness, mass = (stuck.T @ model.matrix(name, wave) @ stuck for name in ("stiffness", "mass"))
+    stuck = scipy.linalg.null_space(
+        np.vstack([model.rows(direction, wave) for direction in ("normal", *model.tangent_directions)])
+    )
+    stiffness, mass = (stuck.conj().T @ model.matrix(name, wave) @ stuck for name in ("stiffness", "mass"))
     values, vectors = scipy.linalg.eigh(stiffness, mass)
     return values, stuck @ vectors
 

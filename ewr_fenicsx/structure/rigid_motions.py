@@ -29,7 +29,8 @@ def find_rigid_motions(structure: Structure, interface: Interface, contact: np.n
     """
     d, part = interface.dimension, structure.part
     nodes = np.concatenate([interface.nodes_a, interface.nodes_b])
-    position = dict(zip(nodes.tolist(), np.tile(interface.position, (2, 1)), strict=True))
+    places = np.concatenate([interface.position, interface.position_b])
+    position = dict(zip(nodes.tolist(), places, strict=True))
     place = np.array([position[int(dof) // d] for dof in contact])
     motions, loose = [np.zeros((len(contact), 0))], []
     for number in np.unique(part):

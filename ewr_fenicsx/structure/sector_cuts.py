@@ -12,31 +12,11 @@ from ewr_fenicsx.errors import MeshError, SceneError
 from ewr_fenicsx.structure.boundaries import boundary_facets, list_dofs, local_to_global
 from ewr_fenicsx.structure.elasticity import Structure
 from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
 from ewr_fenicsx.structure.rigid_motions import find_free_motions
 
 _NEAR = 1e-6  # distance of two nodes that are one, over the extent of the cuts
 _HELD = 1e-9  # of a turned displacement along what is held, below which it is rounding
-
-
-@dataclass(frozen=True)
-class Ring:
-    """The ring that equal sectors form, and the wave of the load round it.
-
-    Attributes:
-        sectors: How many there are.
-        engine_order: As in ``CyclicSymmetry``.
-        low: Name of the boundary that the sector before has as its high one.
-        high: Name of that which the next sector has as its low one: the low one, turned by ``2 pi / sectors``.
-        centre: Where the axis meets the plane, of solids any point of it, ``(d,)`` [m].
-        axis: Its direction, about which sectors follow one another; of a plane only its last component counts.
-    """
-
-    sectors: int
-    engine_order: int
-    low: str
-    high: str
-    centre: tuple[float, ...]
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -61,7 +41,7 @@ def list_boundary(contact: np.ndarray, cuts: SectorCuts | None) -> np.ndarray:
 
 
 def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorCuts:
-    """Matches the nodes of both cuts; collective.
+    """Matches the nodes of both cuts, of which a ring that only contact joins has none; collective.
 
     Raises:
         MeshError: Cuts without facets, with other nodes than the turned ones of each other, or with nodes in contact;
@@ -73,6 +53,8 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
         raise SceneError(
             'damping.kind = "modal": the modes of a ring differ from wave to wave; give "ratios" or "rayleigh"'
         )
+    if ring.low is None:
+        return SectorCuts(ring, *np.zeros((2, 0), dtype=int), np.zeros((0, 0)))
     d = structure.mesh.dimension
     rotation = rotate_by_sector(ring, d)
     (low, at_low), (high, at_high) = (_gather_nodes(structure, name) for name in (ring.low, ring.high))
@@ -105,15 +87,6 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
             "directions or along the axis"
         )
     return SectorCuts(ring, low_dofs[free[0]], high_dofs[free[1]], turn[np.ix_(free[1], free[0])])
-
-
-def rotate_by_sector(ring: Ring, dimension: int) -> np.ndarray:
-    """Rotation about the axis from a sector to the next one, ``(d, d)``, by Rodrigues' formula."""
-    along = np.array(ring.axis) / np.linalg.norm(ring.axis)
-    across = np.cross(np.eye(3), along)  # times a vector: the axis, cross that vector
-    angle = 2 * np.pi / ring.sectors
-    rotation = np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across
-    return rotation[:dimension, :dimension]
 
 
 def _gather_nodes(structure: Structure, name: str) -> tuple[np.ndarray, np.ndarray]:
