@@ -20,6 +20,7 @@ from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.gathering import gather_cells
 from ewr_fenicsx.output.mesh_plots import AT_REST, BODY_COLOURS, choose_body_colours, draw_mesh
 from ewr_fenicsx.output.plots import FLANK_COLOURS, INK
+from ewr_fenicsx.output.ring_motion import gather_ring
 from ewr_fenicsx.output.solid_plots import draw_lines, fill_bodies, stand
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.scene.effects import list_effects
@@ -38,6 +39,8 @@ SCENES = (
     "tapping_rod",
     "broached_dovetail",
     "twisted_blade",
+    "bladed_disk",
+    "damped_ring",
 )
 IN_README = "blade_root"  # its mesh.png, as `ewr run` draws it
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
@@ -103,6 +106,18 @@ def draw_motion(axes, chain, solution):
     axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=f"{what}, magnified {stretch:.0f} times")
 
 
+def draw_ring(axes, chain, solution):
+    """All sectors at one instant, their motion magnified, over where they are at rest."""
+    cells = gather_ring(chain, solution)
+    corners, colours = 1e3 * (cells.corners + cells.values), choose_body_colours(cells)
+    for body, colour in colours.items():
+        axes.add_collection(PolyCollection(corners[cells.body == body], facecolors=colour))
+    axes.add_collection(LineCollection(1e3 * cells.outline(), colors=AT_REST, linewidths=0.4))
+    axes.add_collection(LineCollection(1e3 * cells.outline(1.0), colors=INK, linewidths=0.5))
+    axes.autoscale_view()
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="all sectors, motion magnified")
+
+
 def draw_states(axes, chain, solution):
     """Open, stick and slip of every pair over the period."""
     state = classify_contact(solution, SAMPLES).T
@@ -164,7 +179,8 @@ def draw_scene(name: str) -> str:
     solid = study.chain.mesh.dimension == 3
     left = figure.add_subplot(1, 2, 1, **({"projection": "3d", "computed_zorder": False} if solid else {}))
     right = figure.add_subplot(1, 2, 2)
-    (draw_solid_motion if solid else draw_motion)(left, study.chain, study.solution)
+    draw_left = draw_solid_motion if solid else draw_ring if scene.cyclic else draw_motion
+    draw_left(left, study.chain, study.solution)
     if len(scene.frequencies) > 1:
         frequencies, rms = study.curve
         draw_curve(right, frequencies, 1e3 * rms, "frequency [Hz]", "rms of the tip [mm]", "response")
@@ -192,11 +208,11 @@ def draw_scene(name: str) -> str:
 # %%
 PAGE = """# Gallery
 
-Eight scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects that
-a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a picture
-the joint at the instant of its largest motion, dashed at rest, with the nodes of its contact pairs in red. The mean,
-which static loads cause, is not drawn, so that bodies may overlap a little; where there is an initial gap, it is
-magnified like the motion, which is then drawn with its mean.
+Eleven scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects
+that a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a
+picture the joint at the instant of its largest motion, dashed at rest, with the nodes of its contact pairs in red; of
+a ring all sectors. The mean, which static loads cause, is not drawn, so that bodies may overlap a little; where there
+is an initial gap, it is magnified like the motion, which is then drawn with its mean.
 
 `demos/draw_gallery.py` draws the pictures and writes this page. `demos/choose_your_effects.py` walks from a bonded
 joint to everything at once on one model.

@@ -166,7 +166,8 @@ def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None
     whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {chain.mesh.cells} cells")
     closed = any(scene.laws_on(flank).initial_gap for flank in interface.flanks)
     joint.set_title(f"joint: {len(interface.area)} pairs" + closed * ", drawn without initial gaps")
-    joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}")
+    of_sector = ", or of the sector" if np.any(interface.is_next) else ""
+    joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}{of_sector}")
     figure.suptitle(scene.title or scene.geometry.source.stem)
 
 

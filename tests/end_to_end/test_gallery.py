@@ -33,6 +33,8 @@ SCENES = (
     "tapping_rod",
     "broached_dovetail",
     "twisted_blade",
+    "bladed_disk",
+    "damped_ring",
 )
 
 
@@ -186,6 +188,35 @@ def test_platform_damper(run):
     assert force[flank == "left"].sum() == pytest.approx(force[flank == "right"].sum(), rel=1e-3)
 
 
+def test_bladed_disk(run):
+    """Flanks slip, one sector costs what it would alone, and all thirty are in the picture."""
+    summary, pairs, folder = run("bladed_disk")
+    solution = summary["solution"]
+    assert solution["unknowns"] == 2 * len(pairs) * 11 + 3 and solution["fallbacks"] == []
+    merit = solution["merit"]
+    assert merit["friction_dissipation"] > 10 * merit["viscous_dissipation"] and abs(merit["energy_error"]) < 1e-5
+    assert 1050.0 < summary["model"]["full_stick_frequencies_Hz"][0] < 1100.0
+    assert "stability is not looked at" in solution["cautions"][0]
+    assert (folder / "ring.png").stat().st_size > 50_000
+
+
+def test_damped_ring(run):
+    """Each wedge slides on both of its blades, which carry its centrifugal force; it damps far more than the blades."""
+    summary, pairs, _ = run("damped_ring")
+    merit = summary["solution"]["merit"]
+    assert merit["friction_dissipation"] > 10 * merit["viscous_dissipation"]
+    flank, slip = column(pairs, "flank"), column(pairs, "sliding_distance [m/cycle]")
+    assert {*flank} == {"near", "far"} and min(slip[flank == name].mean() for name in ("near", "far")) > 1e-5
+    normal, tangent = ([column(pairs, f"{name}_{axis}") for axis in "xy"] for name in ("normal", "tangent"))
+    force, friction = (column(pairs, f"{name}_force_mean [N]") for name in ("normal", "friction"))
+    of_wedge = np.where(flank == "near", 1.0, -1.0)  # near: A is the blade, far: the wedge
+    carried = np.array([(of_wedge * (force * n - friction * t)).sum() for n, t in zip(normal, tangent, strict=True)])
+    outwards = np.array([-np.sin(np.pi / 30), np.cos(np.pi / 30)])
+    area, speed = 8e-3 * (20e-3 - 8e-3 / np.tan(np.radians(53.0))), 5000 / 60 * 2 * np.pi
+    assert -carried @ outwards == pytest.approx(4430 * 0.01 * area * speed**2 * 0.19342, rel=1e-4)
+    assert carried @ [outwards[1], -outwards[0]] == pytest.approx(0.0, abs=1e-3 * np.linalg.norm(carried))
+
+
 def test_the_page_shows_every_scene():
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for name in SCENES:
@@ -255,6 +286,9 @@ def test_choose_your_effects_runs_and_its_assertions_hold():
         ("platform_damper", {"flank_angle": 80.0}, "flank_angle = 80.0: expected degrees from the x direction"),
         ("platform_damper", {"airfoil_thickness": 0.02}, "airfoil_thickness = 0.02: expected less than the shank's"),
         ("platform_damper", {"pairs": 1}, "pairs = 1: expected at least 2"),
+        ("damped_ring", {"sectors": 2}, "sectors = 2: expected 3 or more"),
+        ("damped_ring", {"sectors": 50}, "hub_radius = 0.15: 50 shanks with 0.02 m between them are"),
+        ("damped_ring", {"wedge_height": 0.02}, "wedge_height = 0.02: expected less than 0.01327, where"),
     ],
 )
 def test_builders_name_the_parameter_that_makes_no_sense(builder, parameters, message):
