@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +20,10 @@ from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
+SCRIPT, READER, ELEMENTS, RING, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
+SOLIDS, HALF, CYCLIC = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module", params=["force", "rotation"])
@@ -66,6 +68,24 @@ def test_elements_behind_springs_move_as_in_time(capsys):
     steady = integrate(solution.problem, "rest", 3200, 200, tolerance=1e-7)
     assert steady.converged
     assert abs(solution.output("x")[1] - steady.output("x")[1]) < 0.01 * abs(steady.output("x")[1])
+
+
+def test_a_sector_of_a_ring_moves_as_all_of_them_in_time(capsys):
+    names: dict = {}
+    exec(compile(RING, "docs/how_to.md", "exec"), names)
+    solution, in_time = names["solution"], names["in_time"]
+    assert "stability is not looked at" in capsys.readouterr().out and solution.merit["friction_dissipation"] > 0.01
+    assert in_time.converged and solution.estimated_error < 1e-3
+    amplitudes = np.array([in_time.output(f"blade_{j}")[1] for j in range(12)])
+    expected = solution.output("blade")[1] * np.exp(-2j * np.pi * 3 / 12 * np.arange(12))
+    np.testing.assert_allclose(amplitudes, expected, atol=2e-3 * abs(expected[0]))
+
+
+def test_the_page_shows_the_rings_of_the_demos():
+    shown, dampers = (load_scene(ROOT / "demos" / f"{name}.toml").cyclic for name in ("bladed_disk", "damped_ring"))
+    assert tomllib.loads(CYCLIC)["cyclic"] == {key: getattr(shown, key) for key in tomllib.loads(CYCLIC)["cyclic"]}
+    ((name, both),) = dampers.flanks.items()
+    assert f'flanks = {{ {name} = ["{both[0]}", "{both[1]}"] }}' in PAGE
 
 
 def test_a_solve_tells_what_it_is_about(caplog):
@@ -186,9 +206,6 @@ def test_a_transient_overshoots_and_settles_where_the_harmonic_solution_is(capsy
     assert swing[-1] == pytest.approx(steady, rel=0.02)
     told = rf"most: 0\.\d+ mm after {swing.argmax() + 1} periods; in the end 0\.\d+ mm"
     assert re.match(told, capsys.readouterr().out)
-
-
-SOLIDS, HALF = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
 
 
 def solve_solids(text: str, folder: Path):
