@@ -51,6 +51,9 @@ def check_keys(schema: dict, table: dict, data: dict, path: str = "") -> None:
                 if "enum" in named:
                     assert inner in named["enum"], f"{path}{key}.{name}"
                     continue
+                if named.get("type") == "array":
+                    assert named["minItems"] <= len(inner) <= named["maxItems"], f"{path}{key}.{name}"
+                    continue
                 check_keys(schema, find_table(schema, named, inner), inner, f"{path}{key}.{name}.")
         else:
             check_keys(schema, find_table(schema, entry, value), value, f"{path}{key}.")
