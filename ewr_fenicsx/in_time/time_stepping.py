@@ -108,7 +108,7 @@ class TimeScheme:
 
     def __init__(self, problem: ContactProblem, steps: int, theta: float = 0.5):
         if problem.model.cyclic:
-            raise ModelError("in time the sectors of a ring go their own ways: step unroll_ring(model); use solve")
+            raise ModelError("in time the sectors of a ring go their own ways; step all of them: unroll_ring(model)")
         if problem.frequency <= 0:
             raise ModelError(f"frequency = {problem.frequency} Hz; a time step needs a period: give a positive one")
         if not is_whole(steps, 1):

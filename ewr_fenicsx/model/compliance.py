@@ -108,7 +108,7 @@ def condense(
         )
     m, names = rows.shape[0], list(model.outputs)
     found = _respond_at(model, _Itself(rows), omega, generalised_inverse, _Itself(next_rows))
-    readers = found.readers
+    readers = found.read()
     modes = scale_rigid_modes(model, rows) if orders[0] == 0 else np.zeros((model.size, 0))
     responses = np.zeros((len(orders), readers.shape[0], m + 1), dtype=complex)
     for j, h in enumerate(orders):
@@ -152,10 +152,15 @@ class Responses:
         next_rows: RealArray | None = None,
     ):
         self.model, self.omega, self.generalised_inverse = model, omega, generalised_inverse
-        self.readers = np.vstack([rows, *model.outputs.values()])
-        self.next_rows, self._count = next_rows, rows.shape[0]
+        self.rows, self.next_rows = rows, next_rows
         self._seen: dict[int, RealArray | ComplexArray] = {}  # by wave, once for all its harmonics
         self._known: dict[int, ComplexArray] = {}
+
+    def read(self, wave: int = 0) -> RealArray | ComplexArray:
+        """``(p, n)`` rows, then those of the outputs, in a wave of the ring."""
+        lags = wave != 0 and self.next_rows is not None
+        rows = self.rows + (self.model.cyclic.lag(wave) - 1) * self.next_rows if lags else self.rows
+        return np.vstack([rows, self.model.read_outputs(wave)])
 
     def to_rows(self, h: int) -> ComplexArray:
         """``(p, m)`` to unit forces at the rows, at a harmonic."""
@@ -172,17 +177,8 @@ class Responses:
     def _respond_to_rows(self, h: int) -> ComplexArray:
         if modes := self._uncouple(h):
             seen = self._see(h, modes)
-            return superpose(seen, modes.gain(h * self.omega), seen[: self._count].conj().T)
-        return self._solve(h, self._read(h)[: self._count].conj().T)
-
-    def _read(self, h: int) -> RealArray | ComplexArray:
-        """Readers ``(p, n)`` in the wave of a harmonic."""
-        wave = self.model.wave_of(h)
-        if self.next_rows is None or wave == 0:
-            return self.readers
-        readers = self.readers.astype(complex)
-        readers[: self._count] += (self.model.cyclic.lag(wave) - 1) * self.next_rows
-        return readers
+            return superpose(seen, modes.gain(h * self.omega), seen[: len(self.rows)].conj().T)
+        return self._solve(h, self.read(self.model.wave_of(h))[: len(self.rows)].conj().T)
 
     def _uncouple(self, h: int) -> NormalModes | None:
         pinned = h == 0 and self.generalised_inverse == "pinned"
@@ -192,12 +188,12 @@ class Responses:
         """What the readers see of modes, ``(p, n)``."""
         wave = self.model.wave_of(h)
         if wave not in self._seen:
-            self._seen[wave] = self._read(h) @ modes.shapes
+            self._seen[wave] = self.read(wave) @ modes.shapes
         return self._seen[wave]
 
     def _solve(self, h: int, forces: ComplexArray) -> ComplexArray:
-        at = h * self.omega, forces, self.generalised_inverse, self.model.wave_of(h)
-        return self._read(h) @ solve_directly(self.model, *at)
+        wave = self.model.wave_of(h)
+        return self.read(wave) @ solve_directly(self.model, h * self.omega, forces, self.generalised_inverse, wave)
 
 
 @dataclass(frozen=True, eq=False)

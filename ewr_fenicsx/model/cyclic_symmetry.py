@@ -13,17 +13,20 @@ Source: Thomas (1979), Dynamics of rotationally periodic structures, doi:10.1002
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from numbers import Integral
+from urllib.parse import unquote
 
+import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray, keep, read_numbers, refreeze
+from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_numbers, refreeze
 
 COUPLINGS = ("mass", "damping", "stiffness")
 ROWS = ("normal", "tangential")
-MOST_SECTORS = 1000
+MOST_SECTORS, MOST_WAVES = 1000, 100_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,9 +41,10 @@ class CyclicSymmetry:
             [kg, N s/m, N/m]; what the motion of the one before does is the transpose.
         normal, tangential: What the next sector's coordinates add to the contact rows of the model, shaped as there;
             None: all pairs are within the sector.
+        outputs: Name -> ``(n,)`` the same of the rows of outputs: of those that see the high cut.
 
     Raises:
-        ModelError: No whole numbers, fewer than 2 sectors, or couplings of different sizes or not finite.
+        ModelError: No whole numbers, too few or too many of them, or couplings of different sizes or not finite.
     """
 
     sectors: int
@@ -50,6 +54,7 @@ class CyclicSymmetry:
     stiffness: RealArray
     normal: RealArray | None = None
     tangential: RealArray | None = None
+    outputs: Mapping[str, RealArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("sectors", "engine_order"):
@@ -59,6 +64,8 @@ class CyclicSymmetry:
             object.__setattr__(self, name, int(value))
         if not 2 <= self.sectors <= MOST_SECTORS:
             raise ModelError(f"sectors = {self.sectors}; a ring has 2 to {MOST_SECTORS}")
+        if abs(self.engine_order) > MOST_WAVES:
+            raise ModelError(f"engine_order = {self.engine_order}; give at most {MOST_WAVES} waves, either way")
         for name in COUPLINGS:
             matrix = read_numbers(f"{name} between sectors", getattr(self, name))
             if matrix.ndim != 2 or len(set(matrix.shape)) != 1 or not np.isfinite(matrix).all():
@@ -72,6 +79,11 @@ class CyclicSymmetry:
                 object.__setattr__(self, name, keep(rows))
         if len(sizes := {getattr(self, name).shape for name in COUPLINGS}) > 1:
             raise ModelError(f"mass, damping and stiffness between sectors have the shapes {sorted(sizes)}; give one")
+        rows = {name: read_numbers(f"outputs[{name!r}] between sectors", row) for name, row in self.outputs.items()}
+        for name, row in rows.items():
+            if row.shape != (self.size,) or not np.isfinite(row).all():
+                raise ModelError(f"outputs[{name!r}] between sectors: give {self.size} finite numbers")
+        object.__setattr__(self, "outputs", ReadOnly({name: keep(row) for name, row in rows.items()}))
 
     __setstate__ = refreeze
 
@@ -106,3 +118,27 @@ class CyclicSymmetry:
         """What a matrix has in a wave beyond what it has where all sectors are in phase, ``(n, n)`` Hermitian."""
         part = (self.lag(wave) - 1) * getattr(self, name)
         return part + part.conj().T
+
+    def write(self, folder: h5py.Group) -> None:
+        """Write all to an empty group of an HDF5 file."""
+        folder.attrs.update(sectors=self.sectors, engine_order=self.engine_order)
+        for name, value in self.arrays.items():
+            folder[name] = value
+        write_rows(folder.create_group("outputs"), self.outputs)
+
+
+def read_cyclic_symmetry(folder: h5py.Group) -> CyclicSymmetry:
+    """Read what ``CyclicSymmetry.write`` wrote."""
+    arrays = {name: item[()] for name, item in folder.items() if isinstance(item, h5py.Dataset)}
+    return CyclicSymmetry(**folder.attrs, **arrays, outputs=read_rows(folder["outputs"]))
+
+
+def write_rows(folder: h5py.Group, entries: Mapping[object, np.ndarray]) -> None:
+    """Write arrays to a group of an HDF5 file, by names of any kind."""
+    for name, value in entries.items():
+        folder[str(name).replace("%", "%25").replace("/", "%2F")] = value  # HDF5 takes "/" for a path
+
+
+def read_rows(folder: h5py.Group) -> dict[str, np.ndarray]:
+    """Read what ``write_rows`` wrote."""
+    return {unquote(name): value[()] for name, value in folder.items()}

@@ -17,14 +17,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from reprlib import repr as shorten
-from urllib.parse import unquote
 
 import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_harmonic, read_numbers, refreeze
-from ewr_fenicsx.model.cyclic_symmetry import ROWS, CyclicSymmetry
+from ewr_fenicsx.model.cyclic_symmetry import ROWS, CyclicSymmetry, read_cyclic_symmetry, read_rows, write_rows
 from ewr_fenicsx.model.rigid_modes import (
     check_inertia,
     check_rigid_modes,
@@ -154,6 +153,8 @@ class ReducedModel:
             raise ModelError(
                 f"cyclic has matrices of {self.cyclic.size} coordinates, and the model {self.size}; give equal ones"
             )
+        if unknown := self.cyclic.outputs.keys() - self.outputs.keys():
+            raise ModelError(f"cyclic has outputs {sorted(unknown)} that the model does not have; give them rows there")
         _check_symmetry("damping of a sector in a ring", self.damping)
         for name in ROWS:
             own, following = getattr(self, name), getattr(self.cyclic, name)
@@ -213,6 +214,14 @@ class ReducedModel:
         held = self.cyclic.differ("stiffness", wave) @ (self.rigid_modes / np.abs(self.rigid_modes).max(axis=0))
         return count - int(np.linalg.matrix_rank(held, tol=_HELD * np.abs(self.stiffness).max()))
 
+    def read_outputs(self, wave: int = 0) -> RealArray | ComplexArray:
+        """Rows of all outputs, ``(p, n)``; complex where they see a wave of the ring."""
+        rows = np.array([*self.outputs.values()]).reshape(-1, self.size)
+        if wave == 0 or not self.cyclic.outputs:
+            return rows
+        following = [self.cyclic.outputs.get(name, np.zeros(self.size)) for name in self.outputs]
+        return rows + (self.cyclic.lag(wave) - 1) * np.array(following)
+
     def react(self, name: str, amplitudes: ComplexArray, orders: Sequence[int]) -> ComplexArray:
         """Products of such a matrix with amplitudes ``(n_h, n)`` at harmonics ``orders``, each in its wave."""
         product = amplitudes @ getattr(self, name).T
@@ -248,15 +257,10 @@ class ReducedModel:
             for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:
                     file[name] = value
+            write_rows(file.create_group("load"), self.load)
+            write_rows(file.create_group("outputs"), self.outputs)
             if self.cyclic is not None:
-                folder = file.create_group("cyclic")
-                folder.attrs.update(sectors=self.cyclic.sectors, engine_order=self.cyclic.engine_order)
-                for name, value in self.cyclic.arrays.items():
-                    folder[name] = value
-            for group, entries in (("load", self.load), ("outputs", self.outputs)):
-                folder = file.create_group(group)
-                for name, value in entries.items():
-                    folder[str(name).replace("%", "%25").replace("/", "%2F")] = value  # HDF5 takes "/" for a path
+                self.cyclic.write(file.create_group("cyclic"))
 
 
 def read_reduced_model(path: str | Path) -> ReducedModel:
@@ -275,14 +279,11 @@ def read_reduced_model(path: str | Path) -> ReducedModel:
         if file.attrs.get("format") != _FORMAT:
             raise ModelError(f'{path}: format "{file.attrs.get("format")}", expected "{_FORMAT}"; write it with save()')
         arrays = {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
-        cyclic = None
-        if ring := file.get("cyclic"):
-            cyclic = CyclicSymmetry(**ring.attrs, **{name: item[()] for name, item in ring.items()})
         return ReducedModel(
             **arrays,
-            cyclic=cyclic,
-            load={int(h): f[()] for h, f in file["load"].items()},
-            outputs={unquote(name): c[()] for name, c in file["outputs"].items()},
+            load={int(h): f for h, f in read_rows(file["load"]).items()},
+            outputs=read_rows(file["outputs"]),
+            cyclic=read_cyclic_symmetry(file["cyclic"]) if "cyclic" in file else None,
         )
 
 

@@ -25,8 +25,9 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     cyclic = model.cyclic
     if cyclic is not None:
-        couplings = {name: basis.T @ getattr(cyclic, name) @ basis for name in COUPLINGS}
-        cyclic = replace(cyclic, **couplings, **{name: project(getattr(cyclic, name)) for name in ROWS})
+        projected = {name: basis.T @ getattr(cyclic, name) @ basis for name in COUPLINGS}
+        projected |= {name: project(getattr(cyclic, name)) for name in ROWS}
+        cyclic = replace(cyclic, **projected, outputs={name: basis.T @ c for name, c in cyclic.outputs.items()})
     return replace(
         model,
         mass=symmetric(_project(model.mass, basis)),

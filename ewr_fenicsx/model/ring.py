@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import RealArray, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS, CyclicSymmetry
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
@@ -39,7 +39,8 @@ def close_ring(
         low: ``(k,)`` numbers of the coordinates at the cut to the sector before; none where only contact joins sectors.
         high: ``(k,)`` those at the cut to the next one, in the same order: ``high[i]`` is where the next one's
             ``low[i]`` is. They are not among the coordinates of the result.
-        sectors, engine_order: As in ``CyclicSymmetry``.
+        sectors, engine_order: As in ``CyclicSymmetry``. Loads that the high cut feels enter the result with the
+            lag of this engine order: for another one close the ring anew.
         turn: ``(k, k)`` with ``x[high] = turn @ x_next[low]``, each in its own sector's directions: a rotation of the
             next one's vectors by ``2 pi / sectors``; None: equal, as in cylindrical coordinates.
         normal, tangential: What the next sector's coordinates add to the sector's contact rows, shaped as those; None:
@@ -51,8 +52,8 @@ def close_ring(
 
     Raises:
         ModelError: Coordinates that do not exist, repeat or do not match; a turn that is no rotation; a model that is
-            closed already; contact rows, outputs or loads but the mean one at the high cut; rows of the next sector of
-            another shape than the sector's; damping not symmetric.
+            closed already; contact rows at the high cut; rows of the next sector of another shape than the sector's;
+            damping not symmetric.
     """
     if not isinstance(sector, ReducedModel) or sector.cyclic is not None:
         raise ModelError("sector: give the ReducedModel of one sector that is free at its cuts, not closed already")
@@ -72,6 +73,13 @@ def close_ring(
     in_phase = {name: both.T @ matrix @ both for name, matrix in matrices.items()}
     for name in ("mass", "stiffness"):
         in_phase[name] = 0.5 * (in_phase[name] + in_phase[name].T)
+    ring = CyclicSymmetry(
+        sectors,
+        engine_order,
+        **{name: own.T @ matrix @ following for name, matrix in matrices.items()},
+        **{name: rows[:, kept] for name, rows in further.items()},
+        outputs={name: row @ following for name, row in sector.outputs.items() if np.any(row[high])},
+    )
     return replace(
         sector,
         **in_phase,
@@ -80,16 +88,16 @@ def close_ring(
             for name in ROWS
             if (own_rows := getattr(sector, name)) is not None
         },
-        load={h: both.T @ f for h, f in sector.load.items()},
-        outputs={name: row[kept] for name, row in sector.outputs.items()},
+        load={h: _load_ring(ring, h, own.T @ f, following.T @ f) for h, f in sector.load.items()},
+        outputs={name: row @ both for name, row in sector.outputs.items()},
         rigid_modes=(rigid @ mix[np.count_nonzero(sizes > _APART) :].T)[kept],
-        cyclic=CyclicSymmetry(
-            sectors,
-            engine_order,
-            **{name: own.T @ matrix @ following for name, matrix in matrices.items()},
-            **{name: rows[:, kept] for name, rows in further.items()},
-        ),
+        cyclic=ring,
     )
+
+
+def _load_ring(ring: CyclicSymmetry, harmonic: int, own: ComplexArray, following: ComplexArray) -> ComplexArray:
+    """What loads do to a sector: its own ones, and the one before at its high cut, which is ahead in time."""
+    return own + np.conj(ring.lag(ring.wave_of(harmonic))) * following
 
 
 def _read_cuts(low: object, high: object, turn: object, size: int) -> tuple[np.ndarray, np.ndarray, RealArray]:
@@ -122,15 +130,12 @@ def _read_next_rows(sector: ReducedModel, name: str, given: RealArray) -> RealAr
 
 
 def _refuse_at_high_cut(sector: ReducedModel, high: np.ndarray, further: Mapping[str, RealArray]) -> None:
-    """What would be of two sectors, with a lag between its parts."""
+    """Pairs that would see two sectors, with a lag between their parts."""
     rows = [rows for rows in (sector.normal, sector.tangential, *further.values()) if rows is not None]
-    at_cut = {"contact rows": np.vstack(rows)}
-    at_cut |= {f'output "{name}"': row for name, row in sector.outputs.items()}
-    at_cut |= {f"load[{h}]": load for h, load in sector.load.items() if h}
-    if found := [name for name, values in at_cut.items() if np.any(values[..., high])]:
+    if np.any(np.vstack(rows)[:, high]):
         raise ModelError(
-            f"{', '.join(found)}: on coordinates of the high cut, which are the next sector's; move them to the low "
-            "cut or into the sector"
+            "contact rows on coordinates of the high cut, which are the next sector's; move them to the low cut or "
+            "into the sector"
         )
 
 
@@ -168,6 +173,10 @@ def unroll_ring(model: ReducedModel) -> ReducedModel:
             return None if rows is None else np.kron(alone, rows)
         return np.kron(alone, rows - following) + np.kron(to_next, following)
 
+    def follow(name: str) -> RealArray:
+        row, following = model.outputs[name], ring.outputs.get(name, np.zeros(model.size))
+        return np.kron(alone, row - following) + np.kron(to_next, following)
+
     independent = model.count_rigid(1) == model.rigid_modes.shape[1]
     return ReducedModel(
         **{name: spread(name) for name in COUPLINGS},
@@ -178,5 +187,5 @@ def unroll_ring(model: ReducedModel) -> ReducedModel:
         },
         pair_area=None if model.pair_area is None else np.tile(model.pair_area, count),
         rigid_modes=np.kron(alone, model.rigid_modes) if independent else None,
-        outputs={f"{name}_{j}": np.kron(alone[j], row) for name, row in model.outputs.items() for j in range(count)},
+        outputs={f"{name}_{j}": row for name in model.outputs for j, row in enumerate(follow(name))},
     )

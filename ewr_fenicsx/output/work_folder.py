@@ -141,6 +141,9 @@ def _is_same(model: ReducedModel, begun: ReducedModel) -> bool:
     pairs = [(getattr(model, name), getattr(begun, name)) for name in ARRAYS]
     if model.cyclic:
         pairs += [(value, begun.cyclic.arrays[name]) for name, value in model.cyclic.arrays.items()]
+        if model.cyclic.outputs.keys() != begun.cyclic.outputs.keys():
+            return False
+        pairs += [(row, begun.cyclic.outputs[name]) for name, row in model.cyclic.outputs.items()]
     pairs += [(model.load[h], begun.load[h]) for h in model.load]
     pairs += [(model.outputs[name], begun.outputs[name]) for name in model.outputs]
     return all(_agree(a, b) for a, b in pairs)

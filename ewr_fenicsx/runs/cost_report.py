@@ -66,8 +66,11 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
         progress: Whether to show on standard error what is done and how long the rest will take.
 
     Raises:
-        SceneError: Nothing oscillates, so that there is nothing to choose.
+        SceneError: Nothing oscillates, so that there is nothing to choose; a sector of a ring, against time stepping.
     """
+    ring = chain.reduction.model.cyclic
+    if against_time_stepping and ring:
+        raise SceneError(f"{chain.scene.where}: a sector of a ring is not stepped in time; leave out --time-stepping")
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
     loaded = [h for h in problem.driven if h]
     if not loaded or not problem.frequency:
@@ -92,7 +95,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
         if best is not None:
             told.append(f"  {level:>6.1%}: {_tell(best)}")
         elif own > level / 2:
-            better = "" if against_time_stepping else "; --time-stepping is a better one"
+            better = "" if against_time_stepping or ring else "; --time-stepping is a better one"
             told.append(f"  {level:>6.1%}: the reference is not good enough to tell{better}")
         else:
             told.append(f"  {level:>6.1%}: none of the settings tried")

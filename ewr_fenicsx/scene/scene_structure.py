@@ -119,7 +119,7 @@ class Supports(Section):
         return (*self.clamp, *self.hold)
 
 
-MOST_SECTORS = 1000
+MOST_SECTORS, MOST_WAVES = 1000, 100_000
 
 
 class Cyclic(Section):
@@ -137,6 +137,8 @@ class Cyclic(Section):
         "Waves of the load round the ring: harmonic 1 acts on the next sector `engine_order / sectors` of a period "
         "later. Negative: it travels the other way; 0: all sectors are in phase.",
         strict=True,
+        ge=-MOST_WAVES,
+        le=MOST_WAVES,
     )
     low: str | None = entry(
         None, "-", "Boundary where the sector is cut from the one before; none where only `flanks` join the sectors."

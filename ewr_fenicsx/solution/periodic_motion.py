@@ -68,7 +68,7 @@ class PeriodicMotion:
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows
             modes = system.model.rigid_modes
-            rows = np.vstack([system.rows, *system.model.outputs.values()])
+            rows = np.vstack([system.rows, system.model.read_outputs()])
             outputs = [system.compliance.output(n, self.forces, self.rigid)[0].real for n in system.model.outputs]
             wanted = np.concatenate([self.row_motion[0].real, outputs])
             amplitudes[0] += modes @ np.linalg.lstsq(rows @ modes, wanted - rows @ amplitudes[0].real, rcond=None)[0]

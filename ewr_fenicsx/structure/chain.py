@@ -366,7 +366,22 @@ def _ring(scene: Scene, dimension: int) -> Ring | None:
         )
     if dimension == 2 and any(asked.axis[:2]):
         raise SceneError(f"{scene.where}: cyclic.axis = {list(asked.axis)}: a plane turns about an axis normal to it")
+    for name, load in scene.loads.items():
+        if isinstance(load, RotationLoad) and len(load.centre) == dimension and _are_apart(load, centre, asked.axis):
+            raise SceneError(
+                f"{scene.where}: loads.{name} turns the ring about another axis than its own, and no two sectors are "
+                "loaded alike; give it the centre and axis of cyclic"
+            )
     return Ring(asked.sectors, asked.engine_order, asked.low, asked.high, centre, asked.axis, asked.flanks)
+
+
+def _are_apart(load: RotationLoad, centre: Sequence[float], axis: Sequence[float]) -> bool:
+    """Whether a rotation is about another axis, as far as centres are told to six digits."""
+    along, other = (np.array(vector) / np.linalg.norm(vector) for vector in (axis, load.axis))
+    centres = np.zeros((2, 3))
+    centres[:, : len(centre)] = centre, load.centre
+    distance = np.linalg.norm(np.cross(centres[1] - centres[0], along))
+    return bool(np.linalg.norm(np.cross(other, along)) > 1e-6 or distance > 1e-6 * np.abs(centres).max())
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

@@ -90,10 +90,11 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
 
 
 def _gather_nodes(structure: Structure, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Global numbers ``(n,)`` and places ``(n, d)`` [m] of a boundary's nodes, from all ranks, the same everywhere."""
+    """Global numbers ``(n,)`` and places ``(n, d)`` [m] of a boundary's nodes, from all ranks, ordered by place."""
     mesh, space = structure.mesh, structure.space
     local = dolfinx.fem.locate_dofs_topological(space, mesh.dimension - 1, boundary_facets(mesh, name))
     local = local[local < space.dofmap.index_map.size_local]
     mine = local_to_global(space, local), space.tabulate_dof_coordinates()[local, : mesh.dimension]
     numbers, places = (np.concatenate(c) for c in zip(*mesh.domain.comm.allgather(mine), strict=True))
-    return numbers, places
+    order = np.lexsort(np.round(places.T / np.ptp(places, axis=0).max(), 9))
+    return numbers[order], places[order]

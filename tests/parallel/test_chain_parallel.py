@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import write_blocks
+from small_scenes import AT, PULL, SHAKE, write_blocks
 
+from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS
 from ewr_fenicsx.model.reduced_model import read_reduced_model
 
 SCRIPT = Path(__file__).with_name("chain_on_ranks.py")
@@ -114,9 +115,7 @@ def test_error_on_two_ranks_stops_both(mpirun, tmp_path):
     assert not (tmp_path / "none.npz").exists()
 
 
-def test_bodies_that_are_alike_have_the_same_model_on_any_number_of_ranks(mpirun, tmp_path):
-    """Their modes come in pairs of one frequency, which rounding mixes: work could not be gone on with, not even on as
-    many ranks as it was begun on."""
+def save_models(mpirun, tmp_path, scene, ranks):
     (tmp_path / "script.py").write_text(
         "import sys\n"
         "from mpi4py import MPI\n"
@@ -126,12 +125,30 @@ def test_bodies_that_are_alike_have_the_same_model_on_any_number_of_ranks(mpirun
         "if MPI.COMM_WORLD.rank == 0:\n"
         "    model.save(sys.argv[2])\n"
     )
-    models = []
-    for ranks in (1, 2):
-        target = tmp_path / f"{ranks}.h5"
-        done = mpirun(ranks, "python", "-m", "mpi4py", "script.py", ROOT / "demos" / "bolted_lap.toml", target)
+    for count in ranks:
+        target = tmp_path / f"{count}.h5"
+        done = mpirun(count, "python", "-m", "mpi4py", "script.py", scene, target)
         assert done.returncode == 0, done.stderr
-        models.append(read_reduced_model(target))
-    one, two = models
+        yield read_reduced_model(target)
+
+
+def test_bodies_that_are_alike_have_the_same_model_on_any_number_of_ranks(mpirun, tmp_path):
+    """Their modes come in pairs of one frequency, which rounding mixes: work could not be gone on with, not even on as
+    many ranks as it was begun on."""
+    one, two = save_models(mpirun, tmp_path, ROOT / "demos" / "bolted_lap.toml", (1, 2))
     for a, b in ((one.mass, two.mass), (one.damping, two.damping), (one.load[1], two.load[1])):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.abs(a).max())
+
+
+def test_a_sector_of_a_ring_has_the_same_model_on_any_number_of_ranks(mpirun, tmp_path):
+    """Whatever ranks its cuts are on, and in whatever order they number them."""
+    (tmp_path / "sector.toml").write_text(
+        f"[geometry]\nsource = '{FIR_TREE}'\nparameters = {{ free_cuts = true }}\n"
+        "[cyclic]\nsectors = 30\nengine_order = 4\nlow = 'low_cut'\nhigh = 'high_cut'\n" + PULL + SHAKE + AT
+    )
+    one, three = save_models(mpirun, tmp_path, tmp_path / "sector.toml", (1, 3))
+    pairs = [(one.load[1], three.load[1])]
+    pairs += [(getattr(one, name), getattr(three, name)) for name in COUPLINGS]
+    pairs += [(getattr(one.cyclic, name), getattr(three.cyclic, name)) for name in COUPLINGS]
+    for a, b in pairs:
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.abs(a).max())

@@ -1,0 +1,60 @@
+"""Sectors with a few coordinates, closed to a ring, against all of them in one model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, solve, unroll_ring
+from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.model.cyclic_symmetry import CyclicSymmetry
+
+LAWS = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
+
+
+def chain_of_masses(**options) -> ReducedModel:
+    """A mass on the ground between two springs, whose ends are the cuts; it rubs in the middle."""
+    stiffness = 1e4 * np.array([[1.0, -1.0, 0.0], [-1.0, 2.5, -1.0], [0.0, -1.0, 1.0]])
+    given = {
+        "tangential": [[0.0, 1.0, 0.0]],
+        "load": {1: [0.0, 1.0, 0.5j], 3: [0.0, 0.0, 0.2]},
+        "outputs": {"mass": [0.0, 1.0, 0.0], "end": [0.0, 0.0, 1.0], "stretch": [-1.0, 0.0, 1.0]},
+    } | options
+    return ReducedModel(np.diag([0.05, 1.0, 0.05]), 1e-4 * stiffness, stiffness, **given)
+
+
+def pose(model):
+    weights = {"samples": 60, "rho_tangential": 1e-2, "closure": "dashpot"}  # as many samples as sectors, some times
+    return ContactProblem(model, LAWS, frequency=20.0, harmonics=[1, 3, 5], **weights)
+
+
+@pytest.mark.parametrize(
+    ("sectors", "engine_order"), [(2, 0), (2, 1), (3, 1), (3, 2), (6, -1), (6, 2), (6, 3), (6, 13)]
+)
+def test_a_ring_of_masses_moves_as_all_of_them_do(sectors, engine_order):
+    """Loads and outputs at the high cut included, which are of the next sector as well."""
+    model = close_ring(chain_of_masses(), [0], [2], sectors=sectors, engine_order=engine_order)
+    one, everyone = solve(pose(model)), solve(pose(unroll_ring(model)))
+    lag = np.exp(-2j * np.pi * engine_order / sectors * np.array(one.orders))
+    assert np.ptp(one.history("slip")) > 1e-6
+    moved = np.abs(one.output("mass")).max()
+    for name in ("mass", "end", "stretch"):
+        for j in range(sectors):
+            found = everyone.output(f"{name}_{j}")
+            np.testing.assert_allclose(found, lag**j * one.output(name), rtol=0, atol=1e-12 * moved)
+    np.testing.assert_allclose(one.output("end"), lag * one.coordinates[:, 0], rtol=1e-12)
+
+
+def test_a_load_at_the_high_cut_is_one_at_the_next_sectors_low_cut():
+    """Its phase there is that of the sector before."""
+    low = close_ring(chain_of_masses(load={1: [1.0, 0.0, 0.0]}), [0], [2], sectors=6, engine_order=1)
+    high = close_ring(chain_of_masses(load={1: [0.0, 0.0, 1.0]}), [0], [2], sectors=6, engine_order=1)
+    np.testing.assert_allclose(high.load[1], np.exp(2j * np.pi / 6) * low.load[1], rtol=1e-14)
+
+
+def test_outputs_between_sectors_fit_the_model():
+    nothing = np.zeros((3, 3))
+    with pytest.raises(ModelError, match=r"outputs\['mass'\] between sectors: give 3 finite numbers"):
+        CyclicSymmetry(6, 1, nothing, nothing, nothing, outputs={"mass": [1.0, 0.0]})
+    with pytest.raises(ModelError, match=r"cyclic has outputs \['other'\] that the model does not have"):
+        chain_of_masses(cyclic=CyclicSymmetry(6, 1, nothing, nothing, nothing, outputs={"other": [1.0, 0.0, 0.0]}))
