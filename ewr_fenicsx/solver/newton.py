@@ -191,7 +191,8 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
-    yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
+    if not problem.model.cyclic:
+        yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
     if balance.size <= LARGEST_TRACED:

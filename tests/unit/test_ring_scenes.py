@@ -1,0 +1,167 @@
+"""Scenes with ``[cyclic]``: what is refused, and the geometry of pairs between a sector and the next one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_scenes import AT, HEAD, PULL, SHAKE, read_demo
+
+from ewr_fenicsx import ContactLaws, ContactProblem, integrate, load_scene, solve, unroll_ring
+from ewr_fenicsx.errors import InterfaceError, MeshError, SceneError
+from ewr_fenicsx.structure.chain import build_chain, lay_laws
+from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
+
+ROOT = Path(__file__).parents[2]
+DAMPED = read_demo("damped_ring")
+DISK = read_demo("bladed_disk")
+COARSE = "parameters = { sectors = 6, pairs = 3, mesh_size = 8e-3, hub_radius = 0.05, wedge_width = 24e-3 }"
+SMALL = DAMPED.replace("parameters = { sectors = 30 }", COARSE).replace("sectors = 30\n", "sectors = 6\n")
+SMALL = SMALL.replace("speed = 5000.0", "speed = 3000.0")
+
+
+@pytest.fixture
+def build(tmp_path):
+    """The chain of a scene that is given as text."""
+
+    def build_text(text: str):
+        path = tmp_path / "ring.toml"
+        path.write_text(text, encoding="utf-8")
+        return build_chain(load_scene(path))
+
+    return build_text
+
+
+@pytest.mark.parametrize(
+    "ring, told",
+    [
+        ("sectors = 1\nengine_order = 1\nlow = 'a'\nhigh = 'b'", "cyclic.sectors = 1: should be greater than or equal"),
+        ("sectors = 6\nengine_order = 1.5\nlow = 'a'\nhigh = 'b'", "cyclic.engine_order = 1.5"),
+        ("sectors = 6\nlow = 'a'\nhigh = 'b'", "cyclic.engine_order: missing"),
+        ("sectors = 6\nengine_order = 1\nlow = 'a'", "a sector has two cuts: give low and high, or neither"),
+        ("sectors = 6\nengine_order = 1", "nothing joins the sectors: give low and high, or flanks, or both"),
+        ("sectors = 6\nengine_order = 1\nlow = 'a'\nhigh = 'a'", 'low and high are both "a"; a sector has two cuts'),
+        ("sectors = 6\nengine_order = 1\nflanks = { x = ['a', 'a'] }", "x is on a and a: give two boundaries"),
+        (
+            "sectors = 6\nengine_order = 1\nlow = 'a'\nhigh = 'b'\nflanks = { x = ['a', 'c'] }",
+            "x is on a and c: give two boundaries that are no cuts",
+        ),
+        ("sectors = 6\nengine_order = 1\nflanks = { x = ['a'] }", "cyclic.flanks.x"),
+        ("sectors = 6\nengine_order = 1\nlow = 'a'\nhigh = 'b'\naxis = [0, 0, 0]", "should not be the zero vector"),
+        ("sectors = 6\nengine_order = 1\nlow = 'clamp'\nhigh = 'b'", 'supports.clamp: "clamp" is an end of the sector'),
+        (
+            "sectors = 6\nengine_order = 1\nlow = 'tip'\nhigh = 'b'",
+            'loads.pull.boundary: "tip" is an end of the sector',
+        ),
+    ],
+)
+def test_rings_that_make_no_sense_are_refused(read, ring, told):
+    with pytest.raises(SceneError) as refused:
+        read(f"{HEAD}[cyclic]\n{ring}\n{PULL}{SHAKE}{AT}")
+    assert told in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "change, error, told",
+    [
+        (("low_cut", "low_cat"), SceneError, r'cyclic\.low = "low_cat": .* did you mean "low_cut"\?'),
+        (("sectors = 30", "sectors = 24"), MeshError, r"24 sectors, of 15 degrees each: turned about the axis"),
+        (('low = "low_cut"', 'low = "left"'), SceneError, r"no physical group of that name"),
+        (("[loads.axial_pull]", "[supports]\nclamp = []\nhold = {tip='z'}\n[loads.axial_pull]"), SceneError, "tip"),
+        (("[contact]", "[damping]\nkind = 'modal'\nratio = 0.01\n[contact]"), SceneError, "differ from wave to wave"),
+        (("[cyclic]", "[cyclic]\naxis = [1.0, 0.0, 0.0]"), SceneError, "a plane turns about an axis normal to it"),
+        (
+            ("[cyclic]", "[cyclic]\ncentre = [0.0, 0.0, 0.0]"),
+            SceneError,
+            r"cyclic\.centre = \[0\.0, 0\.0, 0\.0\]: the mesh",
+        ),
+        (
+            ("[loads.axial_pull]", "[supports]\nhold = { clamp = 'y' }\nclamp = []\n[loads.axial_pull]"),
+            MeshError,
+            "leave",
+        ),
+    ],
+)
+def test_sectors_that_close_no_ring_are_refused(build, change, error, told):
+    assert change[0] in DISK
+    with pytest.raises(error, match=told):
+        build(DISK.replace(*change))
+
+
+@pytest.mark.parametrize(
+    "change, error, told",
+    [
+        (('"far_wedge", "far_blade"', '"far_wedge", "near"'), InterfaceError, 'flank "far"'),
+        (
+            ('"far_wedge", "far_blade"', '"far_blade", "far_wedge"'),
+            InterfaceError,
+            "m away from the nearest next sector's",
+        ),
+        (("far = [", "near = ["), InterfaceError, 'flank "near" is a boundary of both bodies, too'),
+        (('"far_wedge", "far_blade"', '"far_wedge", "fur_blade"'), SceneError, 'did you mean "far_blade"'),
+        (("[contact]", "[flanks.fur]\nfriction = 0.1\n[contact]"), SceneError, 'did you mean "far"'),
+        (("[contact]", "[contact]\nflanks = ['near']\n[flanks.fur]\n"), SceneError, "leave this flank out"),
+    ],
+)
+def test_flanks_between_sectors_that_do_not_fit_are_refused(build, change, error, told):
+    text = SMALL.replace(*change)
+    if "flanks = ['near']" in text:
+        text = text.replace("[flanks.fur]\n", "").replace("[excitation]", "[flanks.fur]\nfriction = 0.1\n[excitation]")
+    with pytest.raises(error, match=told):
+        build(text)
+
+
+def test_the_next_sector_lies_counter_clockwise():
+    quarter = Ring(4, 1, "low", "high", (0.0, 0.0))
+    np.testing.assert_allclose(rotate_by_sector(quarter, 2) @ [1.0, 0.0], [0.0, 1.0], atol=1e-15)
+    about_x = Ring(4, 1, "low", "high", (0.0, 0.0, 0.0), (2.0, 0.0, 0.0))
+    np.testing.assert_allclose(rotate_by_sector(about_x, 3) @ [5.0, 1.0, 0.0], [5.0, 0.0, 1.0], atol=1e-15)
+
+
+def test_pairs_between_sectors_see_no_rigid_motion_of_the_whole_ring(build):
+    """Each sector's displacements are in its own directions, turned with it."""
+    chain = build(SMALL)
+    interface, rotation = chain.interface, rotate_by_sector(chain.reduction.cuts.ring, 2)
+    assert interface.flanks == ("near", "far") and interface.boundaries == ("near", "far_wedge")
+    np.testing.assert_array_equal(interface.is_next, interface.flank_of_pair == 1)
+    nodes = chain.structure.space.tabulate_dof_coordinates()[:, :2]
+    here = nodes[interface.nodes_b[interface.is_next]] @ rotation.T
+    np.testing.assert_allclose(here, interface.position[interface.is_next], atol=1e-12)
+    for motion in ((1.0, 0.0), (0.0, 1.0)):
+        own, following = (np.tile(np.array(motion) @ turn, len(nodes)) for turn in (np.eye(2), rotation))
+        for rows, more in (
+            (interface.normal_gap, interface.next_normal_gap),
+            (interface.tangential_slip, interface.next_tangential_slip),
+        ):
+            np.testing.assert_allclose(rows @ own + more @ following, 0.0, atol=1e-14)
+            assert np.abs((rows @ own)[interface.is_next]).min() > 0.05
+    spun = (nodes @ [[0.0, 1.0], [-1.0, 0.0]]).ravel()
+    np.testing.assert_allclose(interface.normal_gap @ spun + interface.next_normal_gap @ spun, 0.0, atol=1e-11)
+    outwards = interface.normal[interface.is_next] @ rotation  # what opens the flank: the next sector moves away
+    away = np.zeros(2 * len(nodes))
+    away[2 * interface.nodes_b[interface.is_next]] = outwards[:, 0]
+    away[2 * interface.nodes_b[interface.is_next] + 1] = outwards[:, 1]
+    opened = interface.normal_gap @ away + interface.next_normal_gap @ away
+    np.testing.assert_allclose(opened[interface.is_next], 1.0, atol=1e-14)
+
+
+def test_flanks_between_sectors_have_laws_of_their_own(build):
+    chain = build(SMALL + "[flanks.far]\nfriction = 0.1\n")
+    friction = {laws.friction: pairs for pairs, laws in lay_laws(chain.scene, chain.interface)}
+    assert friction == {0.3: [0, 1, 2], 0.1: [3, 4, 5]}
+
+
+def test_dampers_settle_in_time_to_the_wave_that_a_sector_finds(build):
+    """All six blades and wedges, stepped from rest by a formulation that knows neither harmonics nor waves."""
+    model = build(SMALL + "[damping]\nkind = 'rayleigh'\nalpha = 200.0\nbeta = 1e-6\n").reduction.model
+    laws = ContactLaws(friction=0.3)
+    pose = lambda of: ContactProblem(of, laws, frequency=770.0, harmonics=15)  # noqa: E731
+    wave = solve(pose(model))
+    assert wave.merit["friction_dissipation"] > 0.1 * wave.merit["viscous_dissipation"]
+    steady = integrate(pose(unroll_ring(model)), "rest", steps=1600, periods=150, theta=0.52)
+    assert steady.converged, steady.reason
+    found = wave.output("tip")
+    for j in range(6):
+        lag = np.exp(-2j * np.pi * 4 * j / 6 * np.array(wave.orders))
+        np.testing.assert_allclose(steady.output(f"tip_{j}"), lag * found, atol=0.01 * np.abs(found[1:]).max())
