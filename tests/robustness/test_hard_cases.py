@@ -116,7 +116,7 @@ def test_a_case_that_takes_too_long_is_given_up():
     [
         (("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"), 50),
         (("dovetail", 1.05, ("reached", 3.0), 0.6, 9, 1e-4, "closed"), 100),
-        (("blade root", 1.1, ("reached", 1.0), 1.5, 5, 1e-3, "closed"), 200),
+        (("blade root", 1.05, ("reached", 1.0), 1.5, 5, 1e-3, "closed"), 200),
     ],
     ids=["lap joint", "dovetail", "blade root"],
 )
@@ -192,7 +192,7 @@ def test_a_path_past_matrices_that_are_all_but_singular_stays_on_its_way():
     few = sample_anew(HarmonicBalance(hard_cases.pose_case(case).system), 32)
     first, begun = growing_load._begin_with_little_load(few, 1e-8)
     found = newton_path.follow_path(few.firm, begun.unknowns, 1e-8, 10_000, first, tried=10_000)
-    assert found.residual < 1e-6 and found.iterations > 3
+    assert found.residual < 1e-6 and found.iterations > 2
 
 
 def test_mean_friction_of_pairs_that_stick_does_not_depend_on_the_way(monkeypatch):
