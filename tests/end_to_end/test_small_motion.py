@@ -41,6 +41,7 @@ def test_sliding_past_the_next_node_and_moving_by_a_thickness_are_told(tmp_path,
 
 def test_spacing_is_that_to_the_next_pair_of_the_same_flank():
     position = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [0.0, 0.1], [9.0, 9.0]])
-    nothing = dict.fromkeys(("normal", "tangents", "nodes_a", "nodes_b", "normal_gap", "tangential_slip"))
+    lacking = ("normal", "tangents", "nodes_a", "nodes_b", "normal_gap", "tangential_slip")
+    nothing = dict.fromkeys((*lacking, "boundaries", "is_next", "position_b"))
     interface = Interface(("a", "b", "c"), np.array([0, 0, 0, 1, 2]), position, area=np.ones(5), **nothing)
     assert measure_spacing(interface) == pytest.approx([1.0, 1.0, 2.0, np.inf, np.inf])

@@ -24,8 +24,17 @@ FLANKS = {
     "lap_joint": ["lap"],
     "platform_damper": ["left", "right"],
     "end_contact": ["face"],
+    "damped_ring": ["near"],
 }
-PAIRS = {"fir_tree": 10, "dovetail": 8, "two_blocks": 9, "lap_joint": 26, "platform_damper": 8, "end_contact": 5}
+PAIRS = {
+    "fir_tree": 10,
+    "dovetail": 8,
+    "two_blocks": 9,
+    "lap_joint": 26,
+    "platform_damper": 8,
+    "end_contact": 5,
+    "damped_ring": 8,
+}
 TETRAHEDRA = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]  # of a hexahedron
 
 # Two squares with a wall each, the second drawn clockwise.
@@ -242,7 +251,10 @@ def test_parameters_reach_the_profile():
         ({"skew": 60.0}, "skew = 60.0: expected degrees"),
         ({"skew": float("nan")}, "skew = nan: expected degrees"),
         ({"profile": "dovetial"}, r'profile = "dovetial": no builder .*; did you mean "dovetail"\?'),
-        ({"profile": "zzz"}, "known are dovetail, end_contact, fir_tree, lap_joint, platform_damper, two_blocks, and"),
+        (
+            {"profile": "zzz"},
+            "known are damped_ring, dovetail, end_contact, fir_tree, lap_joint, platform_damper, two_blocks, and",
+        ),
         ({"profile": "/nowhere/mine.py"}, "no builder /nowhere/mine.py; known are"),
         ({"profile": "blocks"}, 'profile = "blocks": no function `build`'),
         ({"profile": "extruded"}, 'profile = "extruded": it has a parameter depth, a name that is taken here'),
