@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -16,6 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / part) for part in ("benchmarks", "tests", "tests/verification")]
 
 import test_bar_against_wall as bar  # noqa: E402
+import test_bladed_disk as wheel  # noqa: E402
 import test_den_hartog as den_hartog  # noqa: E402
 import test_den_hartog_resonances as resonances  # noqa: E402
 import test_finite_elements as elements  # noqa: E402
@@ -25,6 +27,7 @@ import test_hertz_in_space as sphere  # noqa: E402
 import test_jenkins as jenkins  # noqa: E402
 import test_rebound as rebound  # noqa: E402
 import test_reduction as reduction  # noqa: E402
+import test_ring_of_masses as masses  # noqa: E402
 import test_time_integration as stepping  # noqa: E402
 import test_two_rubbing_modes as modes  # noqa: E402
 import test_varying_normal_load as varying  # noqa: E402
@@ -266,6 +269,36 @@ def keep_all_modes() -> Iterator[Row]:
         yield bound(f"compliance at {frequency:g} Hz", reduction.joint_error(found, exact))
 
 
+def find_waves(sectors: int) -> Iterator[Row]:
+    """Frequencies of the waves round a ring of masses and springs."""
+    yield bound(f"frequencies of all {sectors} waves, largest", masses.frequency_error(sectors))
+
+
+def rub_in_turn(beta: float, friction: float) -> Iterator[Row]:
+    """Amplitude and friction work a cycle of masses that rub on both neighbours, which move against them."""
+    solution, exact = masses.rub_in_turn(beta, friction, ORDER), den_hartog.exact_amplitude(beta, friction)
+    yield compare("amplitude", exact, den_hartog.largest_slip(solution) / 2)
+    yield compare("friction work a cycle and mass", 4 * friction * exact, solution.merit["friction_dissipation"])
+
+
+def close_wheel(kind: str, sectors: int) -> Iterator[Row]:
+    """A sector against the whole wheel, all modes kept: modes of full stick, and a blade's tip in slip and lift-off."""
+    with TemporaryDirectory() as folder:
+
+        def build(whole: bool, modes: int):
+            case = {"sectors": sectors, "whole": whole, "engine_order": 1, "modes": modes}
+            return wheel.build_chain(wheel.write_wheel(Path(folder), kind, **case)).reduction
+
+        one, every = (build(whole, build(whole, 1).most_modes) for whole in (False, True))
+    waves = [np.sqrt(wheel.solve_stuck(one.model, wave)[0]) for wave in range(sectors)]
+    exact = np.sqrt(wheel.solve_stuck(every.model)[0])
+    yield bound(
+        "full-stick frequencies of all waves, largest", np.abs(np.sort(np.concatenate(waves)) / exact - 1).max()
+    )
+    mine, theirs = (wheel.solve(wheel.pose(r.model, sectors)).output("tip_0") for r in (one, every))
+    yield bound("tip where flanks slip and lift off", np.abs(mine - theirs).max() / np.abs(theirs).max())
+
+
 def step_den_hartog() -> Iterator[Row]:
     """Den Hartog's amplitude by time stepping, the mean over the second half of the run."""
     result = stepping.integrate_den_hartog(0.8, 0.4, 3200, 200)
@@ -386,6 +419,15 @@ SECTIONS: dict[str, list[Case]] = {
         ("Fir tree reduced, against sparse matrices", reduce_fir_tree, ()),
         ("Two blocks reduced, all modes kept", keep_all_modes, ()),
     ],
+    "Rings of sectors": [
+        *(("Masses and springs", find_waves, (sectors,)) for sectors in (6, 100)),
+        *(
+            (f"Masses that rub in turn, beta = {beta}, x_f / a = {share}", rub_in_turn, (beta, share))
+            for beta, share in ((0.8, 0.4), (1.25, 0.3), (0.6, 0.2))
+        ),
+        ("Four sectors of a bladed wheel, plane", close_wheel, ("plane", 4)),
+        ("Three sectors of a bladed wheel, solid", close_wheel, ("solid", 3)),
+    ],
     "Time stepping against closed forms": [
         ("Den Hartog, beta = 0.8, x_f / a = 0.4, 3200 steps", step_den_hartog, ()),
         ("Block that slides to rest, 970 steps", step_block, ()),
@@ -402,6 +444,8 @@ A mass that hits a stop tends to the motion that loses nothing as slowly as `1/N
     "Wear against closed forms": """A rigid punch on a Winkler foundation. Single cycles leave `1 - 4 k_w k X` of
 the pressure's differences each, short jumps `exp(-4 k_w k X)` a cycle; explicit jumps beyond their limit turn them and
 make them grow.""",
+    "Rings of sectors": """One sector for all. Masses that move against both neighbours rub as Den Hartog's single one
+does. The wheel is meshed and solved as a whole, without any cyclic symmetry; its samples are a multiple of its sectors.""",
     "Time stepping against closed forms": """First order where velocities jump: these errors are of the size of one step
 or one element.""",
 }

@@ -268,7 +268,8 @@ def count(chain: Chain, problem: ContactProblem) -> dict[str, str]:
         "pairs": f"{len(interface.area)} ({', '.join(pairs)})",
         "modes": f"{kept} up to {max(modes):.0f} Hz",
         "first full-stick mode": (
-            f"{reduction.full_stick.frequency[0]:.1f} Hz, damped by {reduction.full_stick_ratio:.2%} of the critical"
+            f"{reduction.full_stick.frequency[0]:.1f} Hz{reduction.model.tell_wave()}, damped by "
+            f"{reduction.full_stick_ratio:.2%} of the critical"
         ),
         "coordinates": f"{reduction.model.size}, {reduction.model.rigid_modes.shape[1]} rigid-body modes",
         "harmonics": waves,

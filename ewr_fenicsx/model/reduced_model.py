@@ -202,6 +202,13 @@ class ReducedModel:
         """The wave in which the sectors of a ring move at a harmonic; 0 where there is no ring."""
         return 0 if self.cyclic is None else self.cyclic.wave_of(harmonic)
 
+    def tell_wave(self) -> str:
+        """Of a ring, how many nodal diameters harmonic 1 has; words to follow on what it is said of."""
+        if self.cyclic is None:
+            return ""
+        diameters = self.cyclic.count_diameters(self.wave_of(1))
+        return f" in a wave of {diameters} nodal diameter{'s' * (diameters != 1)}"
+
     def matrix(self, name: str, wave: int = 0) -> RealArray | ComplexArray:
         """``"mass"``, ``"damping"`` or ``"stiffness"`` in a wave of the ring, ``(n, n)``: real in wave 0."""
         return getattr(self, name) if wave == 0 else getattr(self, name) + self.cyclic.differ(name, wave)

@@ -157,7 +157,7 @@ def stretch(cells: Cells) -> RealArray:
 
 def tell_mode(chain: Chain) -> str:
     """What the picture of the first full-stick mode shows."""
-    return f"full-stick mode 1: {chain.reduction.full_stick.frequency[0]:.1f} Hz"
+    return f"full-stick mode 1{chain.reduction.model.tell_wave()}: {chain.reduction.full_stick.frequency[0]:.1f} Hz"
 
 
 def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None:

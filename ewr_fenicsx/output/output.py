@@ -238,6 +238,7 @@ def summarise(chain: Chain, solution: PeriodicSolution) -> dict:
             "pairs": model.pairs,
             "coordinates": model.size,
             "full_stick_frequencies_Hz": reduction.full_stick.frequency.tolist(),
+            **({"full_stick_nodal_diameters": model.cyclic.count_diameters(model.wave_of(1))} if model.cyclic else {}),
             "fixed_interface_frequencies_Hz": reduction.fixed_interface_frequencies.tolist(),
         },
         "ranks": chain.mesh.domain.comm.size,
