@@ -445,7 +445,8 @@ A mass that hits a stop tends to the motion that loses nothing as slowly as `1/N
 the pressure's differences each, short jumps `exp(-4 k_w k X)` a cycle; explicit jumps beyond their limit turn them and
 make them grow.""",
     "Rings of sectors": """One sector for all. Masses that move against both neighbours rub as Den Hartog's single one
-does. The wheel is meshed and solved as a whole, without any cyclic symmetry; its samples are a multiple of its sectors.""",
+does. The wheel is meshed and solved as a whole, without any cyclic symmetry; its samples are a multiple of its
+sectors.""",
     "Time stepping against closed forms": """First order where velocities jump: these errors are of the size of one step
 or one element.""",
 }
