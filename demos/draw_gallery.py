@@ -20,7 +20,7 @@ from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.gathering import gather_cells
 from ewr_fenicsx.output.mesh_plots import AT_REST, BODY_COLOURS, choose_body_colours, draw_mesh
 from ewr_fenicsx.output.plots import FLANK_COLOURS, INK
-from ewr_fenicsx.output.ring_motion import gather_ring
+from ewr_fenicsx.output.ring_plots import gather_ring
 from ewr_fenicsx.output.solid_plots import draw_lines, fill_bodies, stand
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.scene.effects import list_effects

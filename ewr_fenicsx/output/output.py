@@ -27,7 +27,7 @@ from ewr_fenicsx.output import mesh_plots, plots, solid_plots
 from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.output.pair_fields import spread_over_interface
 from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
-from ewr_fenicsx.output.ring_motion import gather_ring, tell_ring
+from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves, gather_ring, tell_ring, write_diameters
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.solution.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
@@ -94,12 +94,16 @@ def write_results(
             pictures.draw_motion(draft / "ring.png", gather_ring(chain, solution), tell_ring(solution))
         if write_more:
             write_more(draft)
+        waves = find_waves(chain.reduction.model) if chain.reduction.model.cyclic and comm.rank == 0 else None
         memory = comm.gather(measure_memory(), root=0)
         if comm.rank == 0:
             plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
             plots.draw_contact_sets(draft / "contact_sets.png", chain.interface, solution)
             chain.reduction.model.save(draft / "reduced_model.h5")
             write_pairs(draft / "pairs.csv", chain.interface, solution)
+            if waves is not None:
+                write_diameters(draft / "nodal_diameters.csv", waves)
+                draw_diameters(draft / "nodal_diameters.png", waves, solution.problem.model, chain.scene.frequencies)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
             summary = summarise(chain, solution) | dict(facts or {}) | {"peak_memory_MB": memory, "files": files}
             compiled = _compat.measure_compilation() - compiled

@@ -214,7 +214,7 @@ def _stick_in_wave(reduction: CraigBampton) -> Modes:
     """Lowest modes of full stick in the wave of harmonic 1: what a sector shows at the instant when it moves most."""
     model, structure = reduction.model, reduction.structure
     wave = model.wave_of(1)
-    squares, shapes = (part[..., :_FULL_STICK_MODES] for part in solve_stuck(model, wave))
+    squares, shapes = solve_stuck(model, wave, _FULL_STICK_MODES)
     vectors = []
     for shape in shapes.T:
         shape = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))  # the largest real part

@@ -197,7 +197,11 @@ def test_bladed_disk(run):
     assert merit["friction_dissipation"] > 10 * merit["viscous_dissipation"] and abs(merit["energy_error"]) < 1e-5
     assert 1050.0 < summary["model"]["full_stick_frequencies_Hz"][0] < 1100.0
     assert "stability is not looked at" in solution["cautions"][0]
-    assert (folder / "ring.png").stat().st_size > 50_000
+    assert (folder / "ring.png").stat().st_size > 50_000 and (folder / "nodal_diameters.png").exists()
+    waves = read_table(folder / "nodal_diameters.csv")
+    assert [row["nodal_diameters"] for row in waves] == list(range(16))
+    assert waves[4]["mode_1 [Hz]"] == pytest.approx(summary["model"]["full_stick_frequencies_Hz"][0], rel=1e-6)
+    assert summary["model"]["full_stick_nodal_diameters"] == 4
 
 
 def test_damped_ring(run):

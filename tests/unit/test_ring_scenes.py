@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from small_scenes import AT, HEAD, PULL, SHAKE, read_demo
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, load_scene, solve, unroll_ring
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, integrate, load_scene, solve, unroll_ring
 from ewr_fenicsx.errors import InterfaceError, MeshError, SceneError
+from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves
 from ewr_fenicsx.structure.chain import build_chain, lay_laws
 from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
 
@@ -144,6 +145,21 @@ def test_pairs_between_sectors_see_no_rigid_motion_of_the_whole_ring(build):
     away[2 * interface.nodes_b[interface.is_next] + 1] = outwards[:, 1]
     opened = interface.normal_gap @ away + interface.next_normal_gap @ away
     np.testing.assert_allclose(opened[interface.is_next], 1.0, atol=1e-14)
+
+
+def test_waves_of_large_rings_are_some_and_that_of_the_load():
+    mass = ReducedModel([[1.0]], [[0.0]], [[1e4]], normal=[[0.0]], tangential=[[0.0]])
+    with_ties = close_ring(mass, [], [], sectors=1000, engine_order=703)
+    waves = find_waves(with_ties)
+    assert 297 in waves and min(waves) == 0 and max(waves) == 500 and len(waves) < 50
+    np.testing.assert_allclose([*waves.values()], 100.0 / (2 * np.pi))
+
+
+def test_a_ring_at_rest_has_its_diagram(tmp_path):
+    mass = ReducedModel([[1.0]], [[0.0]], [[1e4]], normal=[[0.0]], tangential=[[0.0]])
+    model = close_ring(mass, [], [], sectors=5, engine_order=1)
+    draw_diameters(tmp_path / "waves.png", find_waves(model), model, ())
+    assert (tmp_path / "waves.png").stat().st_size > 5_000
 
 
 def test_flanks_between_sectors_have_laws_of_their_own(build):

@@ -50,7 +50,7 @@ ORDER = {
     ],
     "output": [
         "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",
-        "pair_fields", "ring_motion", "output", "wear_fields",
+        "pair_fields", "ring_plots", "output", "wear_fields",
     ],
     "runs": ["petsc_options", "findings", "study", "cost_report"],
 }
