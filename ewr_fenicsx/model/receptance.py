@@ -6,9 +6,9 @@ Where sectors form a ring every harmonic is a wave of its own round it, with its
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +18,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
-_REMEMBERED = 24  # models and waves, as much memory as a matrix each
+_REMEMBERED = 8  # models, of which the modes of each wave take as much memory as a matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,23 +58,50 @@ def hit_undamped_mode(omega: float) -> ModelError:
     return ModelError(f"{omega / (2 * np.pi):g} Hz hits an undamped mode exactly; give the model some damping")
 
 
+class _Modes(NamedTuple):
+    """What is known of a model, by wave: a ring needs as many as it has harmonics, one after the other."""
+
+    undamped: dict[int, NormalModes | None]
+    normal: dict[int, NormalModes | None]
+
+
 @lru_cache(maxsize=_REMEMBERED)
+def _remember(model: ReducedModel) -> _Modes:
+    return _Modes({}, {})
+
+
 def find_normal_modes(model: ReducedModel, wave: int = 0) -> NormalModes | None:
     """All modes of the model in a wave, or None where they do not uncouple it: damping not proportional."""
-    modes = find_undamped_modes(model, wave)
-    if modes is None:
-        return None
+    known = _remember(model).normal
+    if wave not in known:
+        modes = find_undamped_modes(model, wave)
+        known[wave] = modes if modes is not None and _uncouple(model, modes, wave) else None
+    return known[wave]
+
+
+def _uncouple(model: ReducedModel, modes: NormalModes, wave: int) -> bool:
+    """Whether modes uncouple the damping, but for rounding."""
     shapes, own, matrix = modes.shapes, modes.damping, model.matrix("damping", wave)
     damping = shapes.conj().T @ matrix @ shapes
     rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(matrix) @ np.abs(shapes))
     coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
     np.fill_diagonal(coupling, 0.0)
-    return None if np.any(coupling > 0) else modes
+    return not np.any(coupling > 0)
 
 
-@lru_cache(maxsize=_REMEMBERED)
 def find_undamped_modes(model: ReducedModel, wave: int = 0) -> NormalModes | None:
-    """All modes in a wave, whether damping couples them or not, or None where the stiffness is not positive.
+    """All modes in a wave, whether damping couples them or not, or None where the stiffness is not positive."""
+    known = _remember(model).undamped
+    if wave not in known and wave and 2 * wave > model.cyclic.sectors:  # the other way round: the conjugate one
+        modes = find_undamped_modes(model, model.cyclic.sectors - wave)
+        known[wave] = modes if modes is None else replace(modes, shapes=modes.shapes.conj())
+    elif wave not in known:
+        known[wave] = _solve_modes(model, wave)
+    return known[wave]
+
+
+def _solve_modes(model: ReducedModel, wave: int) -> NormalModes | None:
+    """Modes in a wave.
 
     Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
     their digits, whatever the highest frequency of the model.

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ewr_fenicsx.model.cyclic_symmetry import MOST_SECTORS, MOST_WAVES
 from ewr_fenicsx.scene.scene_entries import Integer, Number, Positive, Ratio, Section, Vector, choose_form, entry
 
 HIGHEST_HARMONIC = 255  # beyond it a solve would take more memory than there is
@@ -117,9 +118,6 @@ class Supports(Section):
     def boundaries(self) -> tuple[str, ...]:
         """All that are held, in whatever direction."""
         return (*self.clamp, *self.hold)
-
-
-MOST_SECTORS, MOST_WAVES = 1000, 100_000
 
 
 class Cyclic(Section):

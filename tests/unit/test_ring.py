@@ -181,6 +181,16 @@ def test_sweeps_and_accuracies_know_of_waves(tmp_path):
     assert size(accurate) == pytest.approx(size(closest), rel=0.01) and not accurate.short
 
 
+def test_modes_of_a_wave_that_travels_the_other_way_are_the_conjugate_ones():
+    model = ring(1)
+    for wave in range(1, SECTORS):
+        modes = find_normal_modes(model, wave)
+        stiffness, mass = (modes.shapes.conj().T @ model.matrix(n, wave) @ modes.shapes for n in ("stiffness", "mass"))
+        np.testing.assert_allclose(mass, np.diag(modes.mass), atol=1e-9 * modes.mass.max())
+        np.testing.assert_allclose(stiffness, np.diag(modes.stiffness), atol=1e-9)
+        assert find_normal_modes(model, wave) is modes, "solved for once"
+
+
 def test_waves_have_lags_and_diameters():
     ties = CyclicSymmetry(6, -1, *np.zeros((3, 1, 1)))
     assert [ties.wave_of(h) for h in range(7)] == [0, 5, 4, 3, 2, 1, 0]
