@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from ewr_fenicsx.model.cyclic_symmetry import MOST_SECTORS, MOST_WAVES
@@ -18,6 +18,10 @@ def _refuse_zero(direction: tuple[float, ...]) -> tuple[float, ...]:
     if not any(direction):
         raise PydanticCustomError("direction", "should not be the zero vector")
     return direction
+
+
+Direction = Annotated[Vector, AfterValidator(_refuse_zero)]
+Axis = Annotated[tuple[Number, Number, Number], AfterValidator(_refuse_zero)]
 
 
 class Geometry(Section):
@@ -154,14 +158,7 @@ class Cyclic(Section):
     centre: Vector = entry(
         (0.0, 0.0), "m", "Where the axis meets the plane (x, y), of solids any point of it (x, y, z)."
     )
-    axis: tuple[Number, Number, Number] = entry(
-        (0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter."
-    )
-
-    @field_validator("axis")
-    @classmethod
-    def check_axis(cls, axis: tuple[float, ...]) -> tuple[float, ...]:
-        return _refuse_zero(axis)
+    axis: Axis = entry((0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter.")
 
     @model_validator(mode="after")
     def check_cuts(self) -> Cyclic:
@@ -221,14 +218,7 @@ class RotationLoad(Section):
         "m",
         "Where the axis meets the plane (x, y), of solids any point of it (x, y, z), in the mesh's coordinates.",
     )
-    axis: tuple[Number, Number, Number] = entry(
-        (0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter."
-    )
-
-    @field_validator("axis")
-    @classmethod
-    def check_axis(cls, axis: tuple[float, ...]) -> tuple[float, ...]:
-        return _refuse_zero(axis)
+    axis: Axis = entry((0.0, 0.0, 1.0), "-", "Direction of the axis; its length does not matter.")
 
     @property
     def harmonic(self) -> int:
@@ -243,12 +233,7 @@ class Output(Section):
     """A displacement to follow: the mean over a boundary along a direction."""
 
     boundary: str = entry(..., "-", "Boundary whose mean displacement is followed.")
-    direction: Vector = entry(..., "-", "Direction (x, y), of solids (x, y, z); its length does not matter.")
-
-    @field_validator("direction")
-    @classmethod
-    def check_direction(cls, direction: tuple[float, ...]) -> tuple[float, ...]:
-        return _refuse_zero(direction)
+    direction: Direction = entry(..., "-", "Direction (x, y), of solids (x, y, z); its length does not matter.")
 
 
 class Reduction(Section):
