@@ -91,7 +91,7 @@ def write_results(
         pictures.draw_mesh(draft / "mesh.png", chain)
         pictures.draw_motion(draft / "full_stick_mode.png", mesh_plots.gather_mode(chain), mesh_plots.tell_mode(chain))
         if solution.problem.model.cyclic and np.any(solution.coordinates[np.array(solution.orders) > 0]):
-            pictures.draw_motion(draft / "ring.png", gather_ring(chain, solution), tell_ring(solution))
+            pictures.draw_motion(draft / "ring.png", gather_ring(chain, solution), tell_ring(chain, solution))
         if write_more:
             write_more(draft)
         waves = find_waves(chain.reduction.model) if chain.reduction.model.cyclic and comm.rank == 0 else None

@@ -22,19 +22,21 @@ from ewr_fenicsx.structure.mesh import rotate_by_sector
 from ewr_fenicsx.structure.projection import solve_stuck
 from ewr_fenicsx.whole_files import write_table
 
+MOST_CELLS = 150_000  # in a picture
 MODES, MOST_WAVES = 4, 41  # of each wave; and waves that are looked at of a ring that has more
 
 
 def gather_ring(chain: Chain, solution: PeriodicSolution) -> Cells | None:
-    """What is drawn of all sectors, with their motion about the mean, as large as it is drawn, on rank 0; collective.
+    """What is drawn of the sectors, with their motion about the mean, as large as it is drawn, on rank 0; collective.
 
     Args:
         chain: Of one sector.
         solution: On its model.
     """
+    drawn = count_drawn(chain)
     ring, cuts, orders = chain.reduction.model.cyclic, chain.reduction.cuts, np.array(solution.orders)
     waves = [ring.wave_of(h) for h in solution.orders]
-    lags = np.array([[ring.lag(j * wave) for wave in waves] for j in range(ring.sectors + 1)])
+    lags = np.array([[ring.lag(j * wave) for wave in waves] for j in range(drawn + 1)])
     moving = lags[:, orders > 0] @ solution.coordinates[orders > 0]
     sectors = [
         gather_cells(chain, chain.reduction.expand(own.real, following.real)) for own, following in pairwise(moving)
@@ -50,13 +52,17 @@ def gather_ring(chain: Chain, solution: PeriodicSolution) -> Cells | None:
     return replace(whole, values=stretch(whole))
 
 
-def tell_ring(solution: PeriodicSolution) -> str:
+def count_drawn(chain: Chain) -> int:
+    """How many sectors are drawn: all, or as many as a picture takes within some seconds."""
+    return max(1, min(chain.reduction.model.cyclic.sectors, MOST_CELLS // chain.mesh.cells))
+
+
+def tell_ring(chain: Chain, solution: PeriodicSolution) -> str:
     """What its picture shows."""
-    ring = solution.problem.model.cyclic
-    return (
-        f"all {ring.sectors} sectors at {solution.problem.frequency:g} Hz, engine order {ring.engine_order}: "
-        "motion about the mean"
-    )
+    ring, drawn = chain.reduction.model.cyclic, count_drawn(chain)
+    which = f"all {drawn}" if drawn == ring.sectors else f"{drawn} of {ring.sectors}"
+    at = f"{solution.problem.frequency:g} Hz, engine order {ring.engine_order}"
+    return f"{which} sectors at {at}: motion about the mean"
 
 
 def find_waves(model: ReducedModel) -> Mapping[int, RealArray]:

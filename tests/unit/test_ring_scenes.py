@@ -10,7 +10,8 @@ from small_scenes import AT, HEAD, PULL, SHAKE, read_demo
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, integrate, load_scene, solve, unroll_ring
 from ewr_fenicsx.errors import InterfaceError, MeshError, SceneError
-from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves
+from ewr_fenicsx.output import ring_plots
+from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves, gather_ring, tell_ring
 from ewr_fenicsx.structure.chain import build_chain, lay_laws
 from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
 
@@ -153,6 +154,18 @@ def test_waves_of_large_rings_are_some_and_that_of_the_load():
     waves = find_waves(with_ties)
     assert 297 in waves and min(waves) == 0 and max(waves) == 500 and len(waves) < 50
     np.testing.assert_allclose([*waves.values()], 100.0 / (2 * np.pi))
+
+
+def test_of_a_ring_with_many_cells_some_sectors_are_drawn(build, monkeypatch):
+    chain = build(SMALL)
+    solution = solve(ContactProblem(chain.reduction.model, ContactLaws(friction=0.3), frequency=500.0))
+    assert tell_ring(chain, solution) == "all 6 sectors at 500 Hz, engine order 4: motion about the mean"
+    whole = gather_ring(chain, solution)
+    monkeypatch.setattr(ring_plots, "MOST_CELLS", 4 * chain.mesh.cells + 1)
+    assert tell_ring(chain, solution).startswith("4 of 6 sectors at 500 Hz")
+    some = gather_ring(chain, solution)
+    assert 6 * len(some.body) == 4 * len(whole.body)
+    np.testing.assert_allclose(some.corners, whole.corners[: len(some.body)], atol=1e-15)
 
 
 def test_a_ring_at_rest_has_its_diagram(tmp_path):
