@@ -299,14 +299,14 @@ def _check_supports(scene: Scene) -> Iterator[str]:
 
 
 def _check_ring(scene: Scene) -> Iterator[str]:
-    supports, ends = scene.supports, {*scene.cyclic.boundaries.values()} if scene.cyclic else ()
+    supports, ring = scene.supports, scene.cyclic
     named = {"supports.clamp": supports.clamp, "supports.hold": supports.hold, "contact.flanks": scene.contact.flanks}
     named |= {f"loads.{name}.boundary": [getattr(load, "boundary", None)] for name, load in scene.loads.items()}
     named |= {f"outputs.{name}.boundary": [output.boundary] for name, output in scene.outputs.items()}
-    for key, names in named.items():
-        for end in sorted(ends):
-            if end in (names or ()):
-                yield f'{key}: "{end}" is an end of the sector, where [cyclic] goes on; name another'
+    for key, names in named.items() if ring else ():
+        ends = ring.boundaries.values() if key == "contact.flanks" else ring.cuts  # flanks may be loaded, and held
+        for end in sorted({*ends} & {*(names or ())}):
+            yield f'{key}: "{end}" is an end of the sector, where [cyclic] goes on; name another'
 
 
 def _check_accuracy(scene: Scene) -> Iterator[str]:

@@ -20,6 +20,7 @@ from ewr_fenicsx.structure.mesh import Ring, find_body_of_cells, find_cells_besi
 from ewr_fenicsx.structure.pair_frames import follow_rows, follow_tangent, measure_turn, turn_along_supports
 
 STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
+_SAME = 1e-9  # of the square of a unit vector, up to which it lies in what others span
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
@@ -162,8 +163,13 @@ def pair_interface(
     position, position_b = (np.concatenate([pair[k].position for pair in paired]) for k in (0, 1))
     is_next = np.array([name in beyond for name in names])[flank_of_pair]
     _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b)
-    held = [np.isin(boundaries.list_dofs(nodes, mesh.dimension), structure.fixed) for nodes in (nodes_a, nodes_b)]
-    still = np.all(held, axis=0) & ~is_next[:, None]
+    held_a, held_b = (
+        np.isin(boundaries.list_dofs(nodes, mesh.dimension), structure.fixed) for nodes in (nodes_a, nodes_b)
+    )
+    if beyond:  # what is held in the next sector is turned with it
+        squares = rotate_by_sector(ring, mesh.dimension) ** 2
+        held_b = np.where(is_next[:, None], held_b @ squares.T > 1 - _SAME, held_b)
+    still = held_a & held_b
     normal = np.concatenate([a.normal for a, _ in paired])
     _check_free_to_part(names, flank_of_pair, position, normal, still)
     normal, tangents = turn_along_supports(normal, still)

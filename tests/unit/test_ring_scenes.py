@@ -101,6 +101,7 @@ def test_sectors_that_close_no_ring_are_refused(build, change, error, told):
             "m away from the nearest next sector's",
         ),
         (("far = [", "near = ["), InterfaceError, 'flank "near" is a boundary of both bodies, too'),
+        (("[contact]", "[contact]\nflanks = ['near', 'far_wedge']"), SceneError, '"far_wedge" is an end of the sector'),
         (('"far_wedge", "far_blade"', '"far_wedge", "fur_blade"'), SceneError, 'did you mean "far_blade"'),
         (("[contact]", "[flanks.fur]\nfriction = 0.1\n[contact]"), SceneError, 'did you mean "far"'),
         (("[contact]", "[contact]\nflanks = ['near']\n[flanks.fur]\n"), SceneError, "leave this flank out"),
@@ -173,6 +174,49 @@ def test_a_ring_at_rest_has_its_diagram(tmp_path):
     model = close_ring(mass, [], [], sectors=5, engine_order=1)
     draw_diameters(tmp_path / "waves.png", find_waves(model), model, ())
     assert (tmp_path / "waves.png").stat().st_size > 5_000
+
+
+HELD = '[supports]\nclamp = ["clamp"]\nhold = { back_wedge = "z", back_blade = "z" }\n'
+
+
+def draw_out(text: str) -> str:
+    """The scene of a plane ring, as one of solids."""
+    for old, new in (
+        ("damped_ring.py", "extruded.py"),
+        ("{ sectors = 6, ", '{ sectors = 6, profile = "damped_ring", layers = 1, '),
+        ("centre = [0.0, 0.0]", "centre = [0.0, 0.0, 0.0]"),
+        ("force = [10.0, 0.0]", "force = [10.0, 0.0, 3.0]"),
+        ("direction = [1.0, 0.0]", "direction = [1.0, 0.0, 0.0]"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def test_pairs_that_both_sectors_hold_have_no_friction_along_the_axis(build):
+    """Their row is zero, and not what rounding leaves of one: a law would take that for a motion."""
+    chain = build(draw_out(SMALL) + HELD)
+    interface, model = chain.interface, chain.reduction.model
+    held = np.isclose(interface.position[:, 2], 0.0)
+    np.testing.assert_array_equal(interface.tangents[held, 1], [[0.0, 0.0, 1.0]] * 6)
+    for wave in range(6):
+        np.testing.assert_array_equal(np.any(model.rows("second_tangential", wave), axis=1), ~held)
+    rows = [len(ContactProblem(model, ContactLaws(friction=0.3), frequency=700.0).system.rows)]
+    assert rows == [3 * 12 - 6]
+
+
+def test_pairs_that_both_sectors_hold_across_their_flank_are_refused(build):
+    far = '[supports]\nclamp = ["clamp", "far_wedge", "far_blade"]\n'
+    with pytest.raises(InterfaceError, match=r'flank "far": both nodes at .* are held along x and y, and cannot part'):
+        build(SMALL + far)
+
+
+def test_supports_that_turn_with_the_next_sector_hold_other_axes(build):
+    """A wedge held along x, and the next blade held along its own: 60 degrees from the wedge's."""
+    model = build(
+        SMALL + '[supports]\nclamp = ["clamp"]\nhold = { far_wedge = "x", far_blade = "x" }\n'
+    ).reduction.model
+    assert np.all(np.any(model.rows("normal", 1)[3:], axis=1) & np.any(model.rows("tangential", 1)[3:], axis=1))
 
 
 def test_flanks_between_sectors_have_laws_of_their_own(build):

@@ -70,6 +70,7 @@ engine_order = {engine_order}
 low = "low"
 high = "high"
 """
+FLANKS = 'flanks = { shroud = ["ahead", "behind"] }\n'
 SOLID = {
     "source": EXTRUDED,
     "parameters": f'profile = "{WHEEL}"\nlayers = 1\ndepth = 0.01\n',
@@ -81,23 +82,30 @@ KINDS = {
     "held cuts": {"parameters": "beside = 2\nwhole_hub = true", "rest": ""},
     "second degree": {"rest": "[elasticity]\ndegree = 2\n"},
     "solid": SOLID,
+    "shrouds": {"parameters": "shrouds = true", "flanks": FLANKS},
+    "shrouds of second degree": {
+        "parameters": "shrouds = true",
+        "flanks": FLANKS,
+        "rest": "[elasticity]\ndegree = 2\n",
+    },
+    "solid shrouds": SOLID | {"parameters": SOLID["parameters"] + "shrouds = true\n", "flanks": FLANKS},
 }
 
 
 def write_wheel(folder, kind, *, sectors, whole, engine_order, modes, ring=RING):
     """A scene; loads and outputs of every sector are turned with it, and those that oscillate lag."""
-    made = {"source": WHEEL, "parameters": "", "supports": "", "rest": ""} | KINDS[kind]
+    made = {"source": WHEEL, "parameters": "", "supports": "", "rest": "", "flanks": ""} | KINDS[kind]
     text = SCENE.format(sectors=sectors, whole=str(whole).lower(), **made)
     for j in range(sectors if whole else 1):
         angle = 2 * pi * j / sectors
-        rest = [0.0] if kind == "solid" else []
+        rest = [0.0] if made["source"] == EXTRUDED else []
         turn = lambda x, y, a=angle, r=rest: [x * cos(a) - y * sin(a), x * sin(a) + y * cos(a), *r]  # noqa: E731
         phase = -360 * engine_order * j / sectors
         text += LOADS.format(
             j=j, press=turn(0.0, -400.0), shake=turn(40.0, 200.0), spit=turn(300.0, 100.0), along=turn(1.0, 0.5),
             phase=phase, twice=2 * phase,
         )  # fmt: skip
-    text += "" if whole else ring.format(sectors=sectors, engine_order=engine_order)
+    text += "" if whole else ring.format(sectors=sectors, engine_order=engine_order) + made["flanks"]
     path = folder / "wheel.toml"
     path.write_text(f"{text}\n{made['rest']}\n[reduction]\nmodes = {modes}\n")
     return load_scene(path)
@@ -135,7 +143,10 @@ def find_pairs(sector, whole, j, sectors):
 
 @pytest.mark.parametrize(
     ("kind", "sectors"),
-    [("plane", 5), ("plane", 4), ("plane", 2), ("held cuts", 3), ("second degree", 3), ("solid", 3)],
+    [
+        *(("plane", sectors) for sectors in (5, 4, 2)),
+        *((kind, 3) for kind in ("held cuts", "second degree", "solid", "shrouds", "solid shrouds")),
+    ],
 )
 def test_waves_of_a_sector_have_all_the_modes_of_the_wheel(build, kind, sectors):
     """Once each where sectors move in phase or in turn, else twice."""
@@ -161,15 +172,25 @@ def test_waves_of_a_sector_have_all_the_modes_of_the_wheel(build, kind, sectors)
         ("held cuts", 3, 1),
         ("second degree", 3, 1),
         ("solid", 3, 1),
+        *(("shrouds", 4, order) for order in (0, 1, 2)),
+        ("shrouds", 5, -1),
+        ("shrouds of second degree", 3, 1),
+        ("solid shrouds", 4, 1),
     ],
 )
 def test_a_sector_does_what_every_sector_of_the_wheel_does(build, kind, sectors, engine_order):
-    """Slip and lift-off: outputs and forces of each blade are those of the sector, later."""
+    """Slip and lift-off, also of shrouds: outputs and forces of each blade are those of the sector, later."""
     sector, wheel = (build(kind, sectors, whole, engine_order) for whole in (False, True))
-    one, all_of_them = (solve(pose(chain.reduction.model, sectors)) for chain in (sector, wheel))
+    frequency = 1500.0 if "shrouds" in kind else 2000.0  # where there is one solution
+    one, all_of_them = (solve(pose(chain.reduction.model, sectors, frequency)) for chain in (sector, wheel))
+    assert len(one.problem.system.rows) * sectors == len(all_of_them.problem.system.rows)
     samples = one.problem.basis.samples
     force = one.history("normal_force", samples)
-    assert (force < 1e-9 * force.max()).any(axis=0).any() and one.merit["friction_dissipation"] > 0
+    opens = (force < 1e-9 * force.max()).any(axis=0)
+    assert opens.any() and one.merit["friction_dissipation"] > 0
+    if "shrouds" in kind:
+        beyond = sector.interface.is_next
+        assert opens[beyond].any() and np.ptp(force[:, beyond], axis=0).max() > 5.0
     assert sector.reduction.model.size * sectors == wheel.reduction.model.size
     for j in range(sectors):
         lag = np.exp(-2j * pi * engine_order * j / sectors * np.array(one.orders))
