@@ -266,5 +266,7 @@ def tell_where_to(problem: ContactProblem, alternates: bool, multiplier: complex
     turns = abs(multiplier.imag) > REAL * abs(multiplier)
     kind = "repeats every second period" if alternates else "never repeats" if turns else ""
     often = f", most often for one that {kind}" if kind else ""
-    stepped = "" if problem.own_kinds else "; integrate(problem, solution, tolerance=0) shows where to"
-    return often + stepped
+    if problem.own_kinds:
+        return often
+    stepped = "(...) on unroll_ring(model)" if problem.model.cyclic else "(problem, solution, tolerance=0)"
+    return f"{often}; integrate{stepped} shows where to"

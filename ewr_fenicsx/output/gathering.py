@@ -71,13 +71,19 @@ class Cells:
         return edges.reshape(-1, *edges.shape[2:])[first[drawn]]
 
     def _number_corners(self) -> np.ndarray:
-        """One number ``(n, 3 or 4)`` for all corners at one place, told apart along a direction that no mesh has."""
-        along = self.corners @ np.pi ** np.arange(self.corners.shape[2])
+        """One number ``(n, 3 or 4)`` for all corners at one place that move as one: not on two sides of a flank."""
+        places = [self._number(places) for places in (self.corners, self.corners + self.values)]
+        _, numbers = np.unique(np.column_stack(places), axis=0, return_inverse=True)
+        return numbers.reshape(self.corners.shape[:2])
+
+    def _number(self, places: RealArray) -> np.ndarray:
+        """A number for each of ``(n, 3 or 4, d)`` places, told apart along a direction that no mesh has."""
+        along = places @ np.pi ** np.arange(places.shape[2])
         order = np.argsort(along, axis=None)
         apart = np.diff(along.ravel()[order]) > SAME * self.scale
         numbers = np.empty(along.size, dtype=int)
         numbers[order] = np.concatenate([[0], np.cumsum(apart)])
-        return numbers.reshape(along.shape)
+        return numbers
 
 
 Interpolation = Callable[[dolfinx.fem.Function], dolfinx.fem.Function]

@@ -203,12 +203,15 @@ def mark_held(axes: Axes, scene: Scene, edge: Mapping[str, RealArray], size: flo
 
 
 def mark_pairs(axes: Axes, interface: Interface, size: float, labelled: bool = False) -> None:
-    """A dot for each pair, in the colour of its flank."""
+    """A dot for each pair, in the colour of its flank; unless labelled, rings where the sector before touches."""
     for k, flank in enumerate(interface.flanks):
         mine = interface.flank_of_pair == k
         colour = FLANK_COLOURS[k % len(FLANK_COLOURS)]
         label = f"{flank}, {mine.sum()} pairs" if labelled else None
         axes.plot(*(1e3 * interface.position[mine].T), "o", color=colour, markersize=size, label=label, zorder=4)
+        if not labelled and len(touched := interface.position_b[mine & interface.is_next]):
+            style = {"color": colour, "fillstyle": "none", "markersize": 2 * size, "markeredgewidth": 0.8}
+            axes.plot(*(1e3 * touched.T), "o", label=f"side of {flank} to the sector before", zorder=4, **style)
 
 
 @dataclass(frozen=True)

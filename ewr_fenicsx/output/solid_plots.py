@@ -49,14 +49,14 @@ TICKS = 7  # about as many numbers along the longest edge of a box
 
 
 def draw_mesh(path: Path, chain: Chain) -> None:
-    """Mesh, clamp, loads and, enlarged, the joint's pairs on the faces of body A; collective."""
+    """Mesh, clamp, loads and, enlarged, the joint's pairs on faces of body A, or all if sectors touch; collective."""
     cells, edge = gather_cells(chain), gather_edges(chain)
     if cells is None:
         return
     scene, interface = chain.scene, chain.interface
     figure, colours, arrows = Figure(), choose_body_colours(cells), place_arrows(scene, edge, cells)
     whole, joint = _add_axes(figure), _add_axes(figure)
-    upright = replace(interface, position=stand(interface.position))
+    upright = replace(interface, position=stand(interface.position), position_b=stand(interface.position_b))
     _set_box(whole, cells.corners, *(arrow.reach for arrow in arrows.values()))
     fill_bodies(whole, cells, colours, opacity=0.6)
     mark_held(whole, scene, {name: stand(nodes) for name, nodes in edge.items()}, size=2)
@@ -64,7 +64,8 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     draw_loads(whole, scene, arrows, lambda places: _project(whole, places))
 
     tag, extent = chain.mesh.bodies[scene.contact.body_a], np.ptp(interface.position, axis=0).max()
-    body = replace(cells, **{name: values[cells.body == tag] for name, values in vars(cells).items()})
+    shown = (cells.body == tag) | np.any(interface.is_next)  # where it is next, A is any body
+    body = replace(cells, **{name: values[shown] for name, values in vars(cells).items()})
     low, high = interface.position.min(axis=0) - NEAR * extent, interface.position.max(axis=0) + NEAR * extent
     is_near = lambda places: np.all((low < places) & (places < high), axis=(1, 2))  # noqa: E731
     normals = np.stack([interface.position, interface.position + NORMALS * extent * interface.normal], axis=1)
