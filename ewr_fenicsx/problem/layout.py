@@ -135,14 +135,14 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     )
     rows, next_rows = gather(model.rows), gather(model.next_rows) if model.joins_sectors else None
     wave = model.wave_of(1)
-    usual = gather(lambda name: model.rows(name, wave))
+    whole = gather(lambda name: model.rows(name, wave)) if wave else rows
     index, start = {}, 0
     for name, pairs in directions.items():
         index[name] = np.full(model.pairs, -1)
         index[name][pairs] = np.arange(start, start + pairs.size)
         start += pairs.size
     kept, expansion = hold(model, np.vstack(held))
-    whole, usual = usual, usual @ expansion
+    usual = whole @ expansion
     immobile = np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
     if np.any(immobile):
         places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
@@ -159,7 +159,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         flexibility[twins] = flexibility[twins].mean(axis=0)
         mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
     next_rows = None if next_rows is None else next_rows @ expansion
-    return Layout(kept, expansion, rows @ expansion, next_rows, index, flexibility, mobility)
+    rows = rows @ expansion if wave else usual
+    return Layout(kept, expansion, rows, next_rows, index, flexibility, mobility)
 
 
 def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:

@@ -153,8 +153,8 @@ def pair_interface(
                 f'flank "{name}" is a boundary of both bodies, too; give that to the next sector another name'
             )
         sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
-    names = tuple(sides)
-    paired = [_pair_sides(name, *sides[name], *whose[name], tolerance) for name in names]
+    names, closes = tuple(sides), "; see sectors, centre, axis and which comes first in cyclic.flanks" if beyond else ""
+    paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes if n in beyond else "") for n in names]
     for name, (a, b) in zip(names, paired, strict=True):
         _check_smooth(name, a)
         _check_opposed(name, a, b, *whose[name])
@@ -296,8 +296,10 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str | None =
     return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
 
 
-def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float) -> tuple[_Side, _Side]:
-    """Both sides of a flank, ordered along the tangent of A, node by node."""
+def _pair_sides(
+    name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float, closes: str = ""
+) -> tuple[_Side, _Side]:
+    """Both sides of a flank, ordered along the tangent of A, node by node; ``closes`` ends what is said of places."""
     outlines = _say_outlines(a.position.shape[1])
     shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
     if len(shared):
@@ -322,7 +324,7 @@ def _pair_sides(name: str, a: _Side, b: _Side, body_a: str, body_b: str, toleran
         raise InterfaceError(
             f'flank "{name}": the {body_a} node at {tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
             f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both {outlines} "
-            f"the same end points and the same transfinite spacing{clearance}"
+            f"the same end points and the same transfinite spacing{clearance}{closes}"
         )
     return a.take(order), b.take(partner)
 

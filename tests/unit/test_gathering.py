@@ -17,7 +17,7 @@ from petsc4py import PETSc
 from small_scenes import write_blocks
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.output.gathering import gather_boundary, gather_cells, measure_thinnest_body, measure_width
+from ewr_fenicsx.output.gathering import Cells, gather_boundary, gather_cells, measure_thinnest_body, measure_width
 from ewr_fenicsx.structure._compat import compile_form, function_space
 from ewr_fenicsx.structure.chain import build_chain
 from ewr_fenicsx.structure.mesh import build_mesh
@@ -116,6 +116,17 @@ def test_the_outline_of_a_solid_is_where_it_turns(tmp_path):
     assert lengths.sum() == pytest.approx(4 * sides.sum())
     moved = replace(cells, values=np.ones_like(cells.corners))
     np.testing.assert_allclose(moved.outline(0.5), outline + 0.5)
+
+
+def test_what_moves_apart_is_outlined_on_both_sides():
+    """Two squares of one body that meet, as the shrouds of two sectors do."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    corners = np.array([square, square + np.array([1.0, 0.0])])
+    cells = Cells(corners, np.zeros_like(corners), np.array([1, 1]))
+    assert len(cells.outline()) == 6
+    apart = np.zeros_like(corners)
+    apart[1] = [0.1, 0.0]
+    assert len(replace(cells, values=apart).outline()) == len(replace(cells, values=apart).outline(1.0)) == 8
 
 
 def test_boundaries_of_solids_are_faces(solid):

@@ -98,7 +98,7 @@ def test_sectors_that_close_no_ring_are_refused(build, change, error, told):
         (
             ('"far_wedge", "far_blade"', '"far_blade", "far_wedge"'),
             InterfaceError,
-            "m away from the nearest next sector's",
+            "m away from the nearest next sector's .*; see sectors, centre, axis and which comes first in",
         ),
         (("far = [", "near = ["), InterfaceError, 'flank "near" is a boundary of both bodies, too'),
         (("[contact]", "[contact]\nflanks = ['near', 'far_wedge']"), SceneError, '"far_wedge" is an end of the sector'),

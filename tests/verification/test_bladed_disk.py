@@ -6,6 +6,7 @@ The wheel's blades lean and are loaded askew: a wave that travels the wrong way 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import lru_cache
 from math import cos, pi, sin
 from pathlib import Path
@@ -17,6 +18,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, lo
 from ewr_fenicsx.errors import MeshError, SceneError
 from ewr_fenicsx.structure.chain import build_chain
 from ewr_fenicsx.structure.projection import solve_stuck
+from ewr_fenicsx.structure.sector_cuts import find_cuts
 
 TESTS = Path(__file__).parents[1]
 WHEEL = TESTS / "geometry" / "wheel.py"
@@ -82,6 +84,7 @@ KINDS = {
     "held cuts": {"parameters": "beside = 2\nwhole_hub = true", "rest": ""},
     "second degree": {"rest": "[elasticity]\ndegree = 2\n"},
     "solid": SOLID,
+    "plain shrouds": {"parameters": "shrouds = true"},
     "shrouds": {"parameters": "shrouds = true", "flanks": FLANKS},
     "shrouds of second degree": {
         "parameters": "shrouds = true",
@@ -253,6 +256,35 @@ def test_cuts_that_do_not_fit_are_refused(tmp_path, monkeypatch, change, told):
     ring = change.get("ring", RING)
     with pytest.raises(MeshError, match=told):
         build_chain(write_wheel(tmp_path, "bad", sectors=5, whole=False, engine_order=1, modes=3, ring=ring))
+
+
+def test_cuts_with_other_numbers_of_nodes_are_refused(tmp_path):
+    """Here with the face of a shroud in place of one of them."""
+    ring = RING.replace('high = "high"', 'high = "ahead"')
+    with pytest.raises(MeshError, match="2 nodes on low, and 3 on ahead; mesh both cuts alike"):
+        build_chain(write_wheel(tmp_path, "plain shrouds", sectors=5, whole=False, engine_order=1, modes=3, ring=ring))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "told"),
+    [
+        (
+            lambda s, i, cuts: (s, replace(i, nodes_a=i.nodes_a * 0 + cuts.low[0] // 2)),
+            MeshError,
+            "1 nodes of the cuts",
+        ),
+        (
+            lambda s, i, cuts: (replace(s, fixed_dofs=np.append(s.fixed_dofs, cuts.low[-1])), i),
+            SceneError,
+            "supports hold nodes of low otherwise than those of high",
+        ),
+    ],
+)
+def test_cuts_in_contact_or_held_unlike_each_other_are_refused(build, change, error, told):
+    chain = build("plane", 5, False)
+    cuts = chain.reduction.cuts
+    with pytest.raises(error, match=told):
+        find_cuts(*change(chain.structure, chain.interface, cuts), cuts.ring)
 
 
 def test_an_engine_order_beyond_all_reason_is_refused(tmp_path):
