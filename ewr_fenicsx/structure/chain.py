@@ -143,7 +143,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
-            ring = _ring(scene, mesh.dimension)
+            ring = _ring(scene, mesh)
             elsewhere = [*scene.supports.boundaries, *(scene.cyclic.boundaries.values() if ring else ())]
             interface = pair_interface(
                 structure,
@@ -356,9 +356,11 @@ def _has_body_b(scene: Scene, mesh: JointMesh) -> bool:
     return not may_lack or scene.contact.body_b in mesh.bodies
 
 
-def _ring(scene: Scene, dimension: int) -> Ring | None:
+def _ring(scene: Scene, mesh: JointMesh) -> Ring | None:
+    """What a scene says of the ring, of which the mesh is a sector; collective."""
     if (asked := scene.cyclic) is None:
         return None
+    dimension, extent = mesh.dimension, measure_extent(mesh)
     centre = asked.centre if "centre" in asked.model_fields_set else (0.0,) * dimension
     if len(centre) != dimension:
         raise SceneError(
@@ -367,7 +369,8 @@ def _ring(scene: Scene, dimension: int) -> Ring | None:
     if dimension == 2 and any(asked.axis[:2]):
         raise SceneError(f"{scene.where}: cyclic.axis = {list(asked.axis)}: a plane turns about an axis normal to it")
     for name, load in scene.loads.items():
-        if isinstance(load, RotationLoad) and len(load.centre) == dimension and _are_apart(load, centre, asked.axis):
+        fits = isinstance(load, RotationLoad) and len(load.centre) == dimension
+        if fits and _are_apart(load, centre, asked.axis, extent):
             raise SceneError(
                 f"{scene.where}: loads.{name} turns the ring about another axis than its own, and no two sectors are "
                 "loaded alike; give it the centre and axis of cyclic"
@@ -375,13 +378,13 @@ def _ring(scene: Scene, dimension: int) -> Ring | None:
     return Ring(asked.sectors, asked.engine_order, asked.low, asked.high, centre, asked.axis, asked.flanks)
 
 
-def _are_apart(load: RotationLoad, centre: Sequence[float], axis: Sequence[float]) -> bool:
-    """Whether a rotation is about another axis, as far as centres are told to six digits."""
+def _are_apart(load: RotationLoad, centre: Sequence[float], axis: Sequence[float], extent: float) -> bool:
+    """Whether a rotation is about another axis, as far as centres are told to six digits, on a mesh of this extent."""
     along, other = (np.array(vector) / np.linalg.norm(vector) for vector in (axis, load.axis))
     centres = np.zeros((2, 3))
     centres[:, : len(centre)] = centre, load.centre
     distance = np.linalg.norm(np.cross(centres[1] - centres[0], along))
-    return bool(np.linalg.norm(np.cross(other, along)) > 1e-6 or distance > 1e-6 * np.abs(centres).max())
+    return bool(np.linalg.norm(np.cross(other, along)) > 1e-6 or distance > 1e-6 * max(np.abs(centres).max(), extent))
 
 
 def _load(name: str, load) -> elasticity.LoadSpec:

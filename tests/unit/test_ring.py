@@ -21,6 +21,7 @@ from ewr_fenicsx import (
     unroll_ring,
 )
 from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.in_time.floquet import tell_where_to
 from ewr_fenicsx.model.cyclic_symmetry import CyclicSymmetry
 from ewr_fenicsx.model.receptance import find_normal_modes
 from ewr_fenicsx.output.work_folder import _is_same
@@ -236,6 +237,10 @@ def test_what_is_not_known_of_a_ring_is_told():
         integrate(problem)
     solution = solve(problem)
     assert any("stability is not looked at" in line and "unroll_ring(model)" in line for line in solution.cautions)
+    assert (
+        tell_where_to(problem, alternates=False, multiplier=0)
+        == "; integrate(...) on unroll_ring(model) shows where to"
+    )
 
 
 def test_a_free_ring_has_the_rigid_motions_that_its_cuts_let_it():
