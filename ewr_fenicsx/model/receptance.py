@@ -6,9 +6,10 @@ Where sectors form a ring every harmonic is a wave of its own round it, with its
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Literal, NamedTuple
+from functools import lru_cache, wraps
+from typing import Literal
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +19,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
-_REMEMBERED = 8  # models, of which the modes of each wave take as much memory as a matrix
+_REMEMBERED, _MEMORY = 8, 2**30  # models; bytes for the waves of one, beyond which they are solved for every time
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,54 +59,47 @@ def hit_undamped_mode(omega: float) -> ModelError:
     return ModelError(f"{omega / (2 * np.pi):g} Hz hits an undamped mode exactly; give the model some damping")
 
 
-class _Modes(NamedTuple):
-    """What is known of a model, by wave: a ring needs as many as it has harmonics, one after the other."""
+def _remember_waves(find: Callable) -> Callable:
+    """Remembers what is found of the last models, of each in all waves that fit: every frequency needs them again."""
+    of_model = lru_cache(maxsize=_REMEMBERED)(lambda model: {})
 
-    undamped: dict[int, NormalModes | None]
-    normal: dict[int, NormalModes | None]
+    @wraps(find)
+    def remembered(model: ReducedModel, wave: int = 0) -> NormalModes | None:
+        known = of_model(model)
+        if wave in known:
+            return known[wave]
+        found = find(model, wave)
+        if (len(known) + 1) * 16 * model.size**2 <= max(_MEMORY, 16 * model.size**2):
+            known[wave] = found
+        return found
+
+    return remembered
 
 
-@lru_cache(maxsize=_REMEMBERED)
-def _remember(model: ReducedModel) -> _Modes:
-    return _Modes({}, {})
-
-
+@_remember_waves
 def find_normal_modes(model: ReducedModel, wave: int = 0) -> NormalModes | None:
     """All modes of the model in a wave, or None where they do not uncouple it: damping not proportional."""
-    known = _remember(model).normal
-    if wave not in known:
-        modes = find_undamped_modes(model, wave)
-        known[wave] = modes if modes is not None and _uncouple(model, modes, wave) else None
-    return known[wave]
-
-
-def _uncouple(model: ReducedModel, modes: NormalModes, wave: int) -> bool:
-    """Whether modes uncouple the damping, but for rounding."""
+    modes = find_undamped_modes(model, wave)
+    if modes is None:
+        return None
     shapes, own, matrix = modes.shapes, modes.damping, model.matrix("damping", wave)
     damping = shapes.conj().T @ matrix @ shapes
     rounding = 100 * np.finfo(float).eps * (np.abs(shapes).T @ np.abs(matrix) @ np.abs(shapes))
     coupling = np.abs(damping) - 1e-8 * np.sqrt(np.abs(np.outer(own, own))) - rounding
     np.fill_diagonal(coupling, 0.0)
-    return not np.any(coupling > 0)
+    return None if np.any(coupling > 0) else modes
 
 
+@_remember_waves
 def find_undamped_modes(model: ReducedModel, wave: int = 0) -> NormalModes | None:
-    """All modes in a wave, whether damping couples them or not, or None where the stiffness is not positive."""
-    known = _remember(model).undamped
-    if wave not in known and wave and 2 * wave > model.cyclic.sectors:  # the other way round: the conjugate one
-        modes = find_undamped_modes(model, model.cyclic.sectors - wave)
-        known[wave] = modes if modes is None else replace(modes, shapes=modes.shapes.conj())
-    elif wave not in known:
-        known[wave] = _solve_modes(model, wave)
-    return known[wave]
-
-
-def _solve_modes(model: ReducedModel, wave: int) -> NormalModes | None:
-    """Modes in a wave.
+    """All modes in a wave, whether damping couples them or not, or None where the stiffness is not positive.
 
     Solved as ``M phi = nu (K + c M) phi``, diagonally scaled: the low modes are then the large eigenvalues and keep
-    their digits, whatever the highest frequency of the model.
+    their digits, whatever the highest frequency of the model. Waves the other way round have conjugate shapes.
     """
+    if wave and (opposite := model.cyclic.sectors - wave) < wave:
+        modes = find_undamped_modes(model, opposite)
+        return modes and replace(modes, shapes=modes.shapes.conj())
     inertia, stiffness, damping = (model.matrix(name, wave) for name in ("mass", "stiffness", "damping"))
     weight = np.trace(inertia).real
     shift = (1e-6 * np.trace(stiffness).real / weight or 1.0) if weight else 0.0  # without a mass nothing is rigid

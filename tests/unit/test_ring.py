@@ -189,7 +189,17 @@ def test_modes_of_a_wave_that_travels_the_other_way_are_the_conjugate_ones():
         stiffness, mass = (modes.shapes.conj().T @ model.matrix(n, wave) @ modes.shapes for n in ("stiffness", "mass"))
         np.testing.assert_allclose(mass, np.diag(modes.mass), atol=1e-9 * modes.mass.max())
         np.testing.assert_allclose(stiffness, np.diag(modes.stiffness), atol=1e-9)
-        assert find_normal_modes(model, wave) is modes, "solved for once"
+
+
+def test_modes_of_many_waves_are_found_once(monkeypatch):
+    """One after the other, as harmonics come: a cache of a few would forget each before it is needed again."""
+    model = ring(1, 100)
+    modes = [find_normal_modes(model, wave) for wave in range(60)]
+    assert all(find_normal_modes(model, wave) is modes[wave] for wave in range(60))
+    monkeypatch.setattr("ewr_fenicsx.model.receptance._MEMORY", 0)
+    other = ring(1, 100)
+    first, second = ([find_normal_modes(other, wave) for wave in (0, 1)] for _ in range(2))
+    assert first[0] is second[0] and first[1] is not second[1]
 
 
 def test_waves_have_lags_and_diameters():
