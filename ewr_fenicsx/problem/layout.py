@@ -21,7 +21,7 @@ from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.restriction import restrict
 
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
-_ROUNDED = 1e-12  # share of a row that bonds leave of it, below which it is rounding
+_ROUNDED = 1e-12  # share of a row that bonds leave of it, or beside the pair's others, below which it is rounding
 
 
 class Demand(NamedTuple):
@@ -164,11 +164,13 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
 
 
 def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
-    """Which pairs have a row other than zero along a tangent, or along the first one in their plane."""
+    """Which pairs have a row other than zero, or rounding, along a tangent, or along the first one in their plane."""
     at = DIRECTIONS.index(tangent)
     along = [tangent, *(d for d in model.tangent_directions if DIRECTIONS.index(d) > at)]
-    seen = [model.rows(direction, model.wave_of(1)) for direction in along]
-    return np.any([np.any(rows[pairs], axis=1) for rows in seen], axis=0)
+    known = (*(() if model.normal is None else ("normal",)), *model.tangent_directions)
+    size = {d: np.linalg.norm(model.rows(d, model.wave_of(1))[pairs], axis=1) for d in known}
+    least = _ROUNDED * np.max([*size.values()], axis=0)
+    return np.any([size[direction] > least for direction in along], axis=0)
 
 
 def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:

@@ -40,6 +40,16 @@ def test_second_tangents_at_rest_change_nothing(friction):
     assert not steady[1].history("second_friction_force").any()
 
 
+def test_what_rounding_leaves_of_a_row_is_no_motion():
+    """Or else a law would obey itself along it without any Newton step, and friction in the plane come out wrong."""
+    plane = dovetail()
+    rows = np.stack([plane.tangential, 1e-17 * plane.normal], axis=1).reshape(-1, plane.size)
+    laws = ContactLaws(friction=0.3)
+    one, other = (solve(ContactProblem(m, laws, 150.0, 5)) for m in (plane, replace(plane, tangential=rows)))
+    assert (one.iterations, one.unknowns) == (other.iterations, other.unknowns)
+    np.testing.assert_allclose(other.forces, one.forces, atol=1e-9 * np.abs(one.forces).max())
+
+
 def test_pairs_at_rest_beside_others_go_without_friction():
     """In a plane as if frictionless, whatever coefficients the group has, pair by pair; the others rub as before."""
     model, still = dovetail(), [1, 4]
