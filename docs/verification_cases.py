@@ -426,6 +426,7 @@ SECTIONS: dict[str, list[Case]] = {
             for beta, share in ((0.8, 0.4), (1.25, 0.3), (0.6, 0.2))
         ),
         ("Four sectors of a bladed wheel, plane", close_wheel, ("plane", 4)),
+        ("Four sectors of a bladed wheel with shrouds that touch, plane", close_wheel, ("shrouds", 4)),
         ("Three sectors of a bladed wheel, solid", close_wheel, ("solid", 3)),
     ],
     "Time stepping against closed forms": [

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
 from ewr_fenicsx.model.receptance import measure_at_rest
@@ -120,10 +120,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     held, active = [np.zeros((0, model.size))], {}
     for demand in demands:
         pairs = np.array(demand.pairs, dtype=int)
-        if model.joins_sectors and any(np.any(model.next_rows(direction)[pairs]) for direction in demand.held):
-            raise ModelError(
-                "pairs between sectors are bonded; let sectors share what is bonded, as a part of their cuts"
-            )
+        if model.joins_sectors and demand.held:
+            _refuse_bonds_between_sectors(model, pairs, demand.held)
         held += [model.rows(direction)[pairs] for direction in demand.held]
         for direction in demand.active:
             acting = pairs[_moves(model, direction, pairs)] if direction in demand.resting else pairs
@@ -161,6 +159,15 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     next_rows = None if next_rows is None else next_rows @ expansion
     rows = rows @ expansion if wave else usual
     return Layout(kept, expansion, rows, next_rows, index, flexibility, mobility)
+
+
+def _refuse_bonds_between_sectors(model: ReducedModel, pairs: np.ndarray, held: Sequence[str]) -> None:
+    between = np.any([np.any(model.next_rows(direction)[pairs], axis=1) for direction in held], axis=0)
+    if np.any(between):
+        raise ModelError(
+            f"{name_pairs(pairs[between])}: bonded, between sectors; let sectors share what is bonded, as a part of "
+            "their cuts"
+        )
 
 
 def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
