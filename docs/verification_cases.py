@@ -271,7 +271,7 @@ def keep_all_modes() -> Iterator[Row]:
 
 def find_waves(sectors: int) -> Iterator[Row]:
     """Frequencies of the waves round a ring of masses and springs."""
-    yield bound(f"frequencies of all {sectors} waves, largest", masses.frequency_error(sectors))
+    yield bound("frequencies of all waves, largest", masses.frequency_error(sectors))
 
 
 def rub_in_turn(beta: float, friction: float) -> Iterator[Row]:
@@ -420,7 +420,7 @@ SECTIONS: dict[str, list[Case]] = {
         ("Two blocks reduced, all modes kept", keep_all_modes, ()),
     ],
     "Rings of sectors": [
-        *(("Masses and springs", find_waves, (sectors,)) for sectors in (6, 100)),
+        *((f"{sectors} masses and springs", find_waves, (sectors,)) for sectors in (6, 100)),
         *(
             (f"Masses that rub in turn, beta = {beta}, x_f / a = {share}", rub_in_turn, (beta, share))
             for beta, share in ((0.8, 0.4), (1.25, 0.3), (0.6, 0.2))

@@ -174,7 +174,7 @@ def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
     """Which pairs have a row other than zero, or rounding, along a tangent, or along the first one in their plane."""
     at = DIRECTIONS.index(tangent)
     along = [tangent, *(d for d in model.tangent_directions if DIRECTIONS.index(d) > at)]
-    known = (*(() if model.normal is None else ("normal",)), *model.tangent_directions)
+    known = {*along, *(() if model.normal is None else ("normal",)), *model.tangent_directions}
     size = {d: np.linalg.norm(model.rows(d, model.wave_of(1))[pairs], axis=1) for d in known}
     least = _ROUNDED * np.max([*size.values()], axis=0)
     return np.any([size[direction] > least for direction in along], axis=0)
