@@ -116,7 +116,7 @@ def test_a_case_that_takes_too_long_is_given_up():
     [
         (("lap joint", 0.85, ("reached", 0.3), 0.6, 3, 0.05, "even"), 50),
         (("dovetail", 1.05, ("reached", 3.0), 0.6, 9, 1e-4, "closed"), 100),
-        (("blade root", 1.05, ("reached", 1.0), 1.5, 5, 1e-3, "closed"), 200),
+        (("blade root", 0.95, ("reached", 1.0), 1.5, 3, 1e-3, "closed"), 200),
     ],
     ids=["lap joint", "dovetail", "blade root"],
 )
