@@ -141,9 +141,10 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
     to_nodes = node_interpolation(chain.structure.space)
     frames = (to_nodes(chain.reduction.expand(*x)) for x in zip(own, following, strict=True))
     write_series(folder / "displacement.xdmf", domain, times, frames)
+    of_before = _look_at_sector_before(interface, solution, steps)
     for name, values in contact_fields(interface, solution, steps).items():
         spread = spread_over_interface(chain, AWAY_FROM_CONTACT if name == "contact_state" else 0.0)
-        write_series(folder / f"{name}.xdmf", domain, times, (spread(row) for row in values))
+        write_series(folder / f"{name}.xdmf", domain, times, map(spread, values, of_before.get(name, values)))
         if name == "contact_state":
             domain.comm.barrier()
             do_with_files(lambda: _round_series(folder / "contact_state.h5"), domain.comm, folder)
@@ -152,6 +153,15 @@ def write_fields(folder: Path, chain: Chain, solution: PeriodicSolution) -> None
             tags.name = name
             domain.topology.create_connectivity(tags.dim, domain.topology.dim)
             _compat.write_meshtags(file, tags, domain)
+
+
+def _look_at_sector_before(interface: Interface, solution: PeriodicSolution, steps: int) -> dict[str, RealArray]:
+    """``contact_fields`` of the sector before, which is ahead in time; of no ring that touches, or at rest, nothing."""
+    if steps == 1 or not np.any(interface.is_next):
+        return {}
+    ring = solution.problem.model.cyclic
+    often = contact_fields(interface, solution, steps * ring.sectors)
+    return {name: np.roll(v, -ring.engine_order * steps, axis=0)[:: ring.sectors] for name, v in often.items()}
 
 
 def contact_fields(interface: Interface, solution: PeriodicSolution, samples: int) -> dict[str, RealArray]:

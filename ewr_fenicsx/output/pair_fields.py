@@ -15,16 +15,23 @@ from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.mesh import find_cells_beside, number_faces
 
 
-def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[[RealArray], dolfinx.fem.Function]:
-    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides here."""
+def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[..., dolfinx.fem.Function]:
+    """Returns a function from pair values ``(K_c,)`` to a field that has them at the nodes of both sides.
+
+    Where a pair's node of B is in the next sector, this one's is the pair's of the sector before: it has that one's
+    values, the function's second argument, or the same.
+    """
     space, interface = chain.structure.space, chain.interface
     component, parents = space.sub(0).collapse()
-    pairs = find_pairs(chain, interface.nodes_a, interface.nodes_b_here)[np.asarray(parents) // space.dofmap.bs]
+    here = (interface.nodes_a, interface.nodes_b_here), (interface.nodes_b,)
+    pairs, before = (find_pairs(chain, *nodes)[np.asarray(parents) // space.dofmap.bs] for nodes in here)
     field = dolfinx.fem.Function(component)
     to_nodes = node_interpolation(component)
 
-    def spread(values: RealArray) -> dolfinx.fem.Function:
-        field.x.array[:] = np.where(pairs >= 0, values[pairs], elsewhere)
+    def spread(values: RealArray, values_before: RealArray | None = None) -> dolfinx.fem.Function:
+        of_before = values if values_before is None else values_before
+        others = np.where(before >= 0, of_before[before], elsewhere)
+        field.x.array[:] = np.where(pairs >= 0, values[pairs], others)
         return to_nodes(field)
 
     return spread

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from small_scenes import AT, HEAD, PULL, SHAKE, read_demo
@@ -11,6 +12,7 @@ from small_scenes import AT, HEAD, PULL, SHAKE, read_demo
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, integrate, load_scene, solve, unroll_ring
 from ewr_fenicsx.errors import InterfaceError, MeshError, SceneError
 from ewr_fenicsx.output import ring_plots
+from ewr_fenicsx.output.output import write_fields
 from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves, gather_ring, tell_ring
 from ewr_fenicsx.structure.chain import build_chain, lay_laws
 from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
@@ -217,6 +219,26 @@ def test_supports_that_turn_with_the_next_sector_hold_other_axes(build):
         SMALL + '[supports]\nclamp = ["clamp"]\nhold = { far_wedge = "x", far_blade = "x" }\n'
     ).reduction.model
     assert np.all(np.any(model.rows("normal", 1)[3:], axis=1) & np.any(model.rows("tangential", 1)[3:], axis=1))
+
+
+def test_fields_on_the_far_side_are_those_of_the_sector_before(build, tmp_path):
+    """Which is ahead in time by the engine order over the sectors of a period."""
+    chain = build(SMALL)
+    solution = solve(ContactProblem(chain.reduction.model, ContactLaws(friction=0.3), frequency=770.0))
+    write_fields(tmp_path, chain, solution)
+    interface = chain.interface
+    with h5py.File(tmp_path / "contact_pressure.h5") as file:
+        places = file["Mesh/mesh/geometry"][()] if "Mesh/mesh/geometry" in file else None
+        series = next(iter(file["Function"].values()))
+        frames = [np.asarray(series[key]).ravel() for key in sorted(series, key=lambda k: float(k.replace("_", ".")))]
+    assert places is not None and len(frames) == 32
+    at = [np.argmin(np.linalg.norm(places[:, :2] - place, axis=1)) for place in interface.position_b]
+    pressure = solution.history("normal_force", 32 * 6) / interface.area
+    for k in np.flatnonzero(interface.is_next):
+        expected = [pressure[(i * 6 + 4 * 32) % 192, k] for i in range(32)]
+        found = [frame[at[k]] for frame in frames]
+        np.testing.assert_allclose(found, expected, atol=1e-6 * pressure.max())
+        assert np.ptp(expected) > 0.1 * pressure.max()
 
 
 def test_flanks_between_sectors_have_laws_of_their_own(build):
