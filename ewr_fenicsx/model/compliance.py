@@ -158,9 +158,7 @@ class Responses:
 
     def read(self, wave: int = 0) -> RealArray | ComplexArray:
         """``(p, n)`` rows, then those of the outputs, in a wave of the ring."""
-        lags = wave != 0 and self.next_rows is not None
-        rows = self.rows + (self.model.cyclic.lag(wave) - 1) * self.next_rows if lags else self.rows
-        return np.vstack([rows, self.model.read_outputs(wave)])
+        return np.vstack([self.model.see_wave(self.rows, self.next_rows, wave), self.model.read_outputs(wave)])
 
     def to_rows(self, h: int) -> ComplexArray:
         """``(p, m)`` to unit forces at the rows, at a harmonic."""

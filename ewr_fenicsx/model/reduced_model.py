@@ -194,8 +194,7 @@ class ReducedModel:
             ModelError: The model has no rows of that direction.
         """
         if (own := _pick_rows(self, direction, self.tangents)) is not None:
-            lags = wave != 0 and self.joins_sectors
-            return own + (self.cyclic.lag(wave) - 1) * self.next_rows(direction) if lags else own
+            return self.see_wave(own, self.next_rows(direction) if self.joins_sectors else None, wave)
         raise ModelError(f"the law needs {direction} contact rows and the reduced model has none; give {direction}=...")
 
     def wave_of(self, harmonic: int) -> int:
@@ -227,7 +226,11 @@ class ReducedModel:
         if wave == 0 or not self.cyclic.outputs:
             return rows
         following = [self.cyclic.outputs.get(name, np.zeros(self.size)) for name in self.outputs]
-        return rows + (self.cyclic.lag(wave) - 1) * np.array(following)
+        return self.see_wave(rows, np.array(following), wave)
+
+    def see_wave(self, rows: RealArray, following: RealArray | None, wave: int) -> RealArray | ComplexArray:
+        """Rows in a wave of the ring, by what they see in wave 0 and what of it is the next sector's, or nothing."""
+        return rows if wave == 0 or following is None else rows + (self.cyclic.lag(wave) - 1) * following
 
     def react(self, name: str, amplitudes: ComplexArray, orders: Sequence[int]) -> ComplexArray:
         """Products of such a matrix with amplitudes ``(n_h, n)`` at harmonics ``orders``, each in its wave."""

@@ -94,16 +94,16 @@ def write_results(
             pictures.draw_motion(draft / "ring.png", gather_ring(chain, solution), tell_ring(chain, solution))
         if write_more:
             write_more(draft)
-        waves = find_waves(chain.reduction.model) if chain.reduction.model.cyclic and comm.rank == 0 else None
         memory = comm.gather(measure_memory(), root=0)
         if comm.rank == 0:
             plots.draw_histories(draft / "pair_histories.png", chain.interface, solution)
             plots.draw_contact_sets(draft / "contact_sets.png", chain.interface, solution)
             chain.reduction.model.save(draft / "reduced_model.h5")
             write_pairs(draft / "pairs.csv", chain.interface, solution)
-            if waves is not None:
+            if (sector := chain.reduction.model).cyclic:
+                waves = find_waves(sector)
                 write_diameters(draft / "nodal_diameters.csv", waves)
-                draw_diameters(draft / "nodal_diameters.png", waves, solution.problem.model, chain.scene.frequencies)
+                draw_diameters(draft / "nodal_diameters.png", waves, sector, chain.scene.frequencies)
             files = sorted([path.name for path in draft.iterdir()] + [SUMMARY])
             summary = summarise(chain, solution) | dict(facts or {}) | {"peak_memory_MB": memory, "files": files}
             compiled = _compat.measure_compilation() - compiled

@@ -23,8 +23,10 @@ def spread_over_interface(chain: Chain, elsewhere: float = 0.0) -> Callable[...,
     """
     space, interface = chain.structure.space, chain.interface
     component, parents = space.sub(0).collapse()
-    here = (interface.nodes_a, interface.nodes_b_here), (interface.nodes_b,)
-    pairs, before = (find_pairs(chain, *nodes)[np.asarray(parents) // space.dofmap.bs] for nodes in here)
+    node = np.asarray(parents) // space.dofmap.bs
+    pairs = before = find_pairs(chain, interface.nodes_a, interface.nodes_b_here)[node]
+    if np.any(interface.is_next):
+        before = find_pairs(chain, interface.nodes_b)[node]
     field = dolfinx.fem.Function(component)
     to_nodes = node_interpolation(component)
 

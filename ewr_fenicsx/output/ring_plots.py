@@ -23,7 +23,7 @@ from ewr_fenicsx.structure.projection import solve_stuck
 from ewr_fenicsx.whole_files import write_table
 
 MOST_CELLS = 150_000  # in a picture
-MODES, MOST_WAVES = 4, 41  # of each wave; and waves that are looked at of a ring that has more
+MODES, SHOWN = 4, 41  # of each wave; and waves that are looked at of a ring that has more
 
 
 def gather_ring(chain: Chain, solution: PeriodicSolution) -> Cells | None:
@@ -71,7 +71,7 @@ def find_waves(model: ReducedModel) -> Mapping[int, RealArray]:
     Of rings with many sectors only some waves, that of harmonic 1 among them.
     """
     ring = model.cyclic
-    spread = np.linspace(0, ring.sectors // 2, MOST_WAVES).round().astype(int).tolist()
+    spread = np.linspace(0, ring.sectors // 2, SHOWN).round().astype(int).tolist()
     waves = sorted({*spread, ring.count_diameters(model.wave_of(1))})
     return {wave: np.sqrt(np.maximum(solve_stuck(model, wave, MODES)[0], 0.0)) / (2 * np.pi) for wave in waves}
 

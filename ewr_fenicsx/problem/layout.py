@@ -86,9 +86,7 @@ class Layout:
 
     def rows_in(self, wave: int) -> RealArray | ComplexArray:
         """The rows in a wave of a ring, ``(m, n')``."""
-        if wave == 0 or self.next_rows is None:
-            return self.rows
-        return self.rows + (self.model.cyclic.lag(wave) - 1) * self.next_rows
+        return self.model.see_wave(self.rows, self.next_rows, wave)
 
     @property
     def usual_wave(self) -> int:
