@@ -41,6 +41,7 @@ SCENES = (
     "twisted_blade",
     "bladed_disk",
     "damped_ring",
+    "shrouded_ring",
 )
 IN_README = "blade_root"  # its mesh.png, as `ewr run` draws it
 STATES = {"open": "#ffffff", "stick": "#1d6fb8", "slip": "#e08e0b"}
@@ -208,7 +209,7 @@ def draw_scene(name: str) -> str:
 # %%
 PAGE = """# Gallery
 
-Eleven scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects
+Twelve scenes, each solved within seconds, each run by the tests. The tables are what `ewr info` prints: the effects
 that a scene has, what they add to the contact solve, and which entries of the scene ask for them. On the left of a
 picture the joint at the instant of its largest motion, dashed at rest, with the nodes of its contact pairs in red; of
 a ring all sectors. The mean, which static loads cause, is not drawn, so that bodies may overlap a little; where there

@@ -28,6 +28,7 @@ import test_jenkins as jenkins  # noqa: E402
 import test_rebound as rebound  # noqa: E402
 import test_reduction as reduction  # noqa: E402
 import test_ring_of_masses as masses  # noqa: E402
+import test_shrink_fit as shrink  # noqa: E402
 import test_time_integration as stepping  # noqa: E402
 import test_two_rubbing_modes as modes  # noqa: E402
 import test_varying_normal_load as varying  # noqa: E402
@@ -196,6 +197,15 @@ def rub_sphere(across: int, highest: int) -> Iterator[Row]:
     yield bound("traction at the peak, rms, of mu p0", errors["traction at the peak"])
     yield bound("traction across the line, largest, of mu p0", errors["traction across"])
     yield compare("work a cycle", sphere.exact_work(), solution.merit["friction_dissipation"])
+
+
+def shrink_fit(around: int, across: int) -> Iterator[Row]:
+    """Pressure of an interference at some speeds, in shares of the one that takes it."""
+    with TemporaryDirectory() as folder:
+        for share in (1e-3, 0.5):
+            speed = share * shrink.find_loosening_speed()
+            pressure, _ = shrink.measure_pressure(shrink.fit(Path(folder), speed, around, across))
+            yield compare(f"pressure at {share:g} of the loosening speed", shrink.find_pressure(speed), pressure)
 
 
 def bend_beam() -> Iterator[Row]:
@@ -393,6 +403,7 @@ SECTIONS: dict[str, list[Case]] = {
         ),
         *((f"Hertz, {pairs} pairs", press_cylinder, (pairs,)) for pairs in (24, 96)),
         *((f"Cattaneo and Mindlin, {p} pairs, N = {n}", rub_cylinder, (p, n)) for p, n in ((24, 15), (48, 31))),
+        *((f"Shrink fit that turns, {n} pairs", shrink_fit, (n, n // 6)) for n in (24, 48)),
         *((f"Hertz, a sphere, {n} patches across", press_sphere, (n,)) for n in (12, 24)),
         *((f"Cattaneo and Mindlin, a sphere, 12 patches across, N = {n}", rub_sphere, (12, n)) for n in (9, 15)),
     ],

@@ -31,14 +31,15 @@ class ContactLaws:
         tangential: ``"coulomb"``, ``"frictionless"``, ``"bonded"``, or the name of a kind registered elsewhere.
         friction: Coefficient of friction, scalar or ``(K,)``, one for each of its pairs in the group's order.
         normal_force: Prescribed normal force [N], scalar or ``(K,)``, or harmonic -> such amplitudes (complex).
-        initial_gap: Clearance [m], scalar or ``(K,)``; wear adds to it.
+        initial_gap: Clearance [m], scalar or ``(K,)``, negative an interference: bodies overlap by so much before
+            their joint is put together, and press without any load. Wear adds to it.
         static_friction: What decides the mean friction force of pairs that stick throughout: ``"resolved"``, the least
             that their limits allow; ``"held"``, what holds them where they are without loads, as after a slow loading
             from rest. That of pairs that slip follows from the law either way. ``"zero"`` sets it to zero for all.
         parameters: Parameters of a kind registered elsewhere, name -> value; none of those above.
 
     Raises:
-        ModelError: An unknown law or parameter, a negative friction or gap, or a prescribed law without its force.
+        ModelError: An unknown law or parameter, a negative friction, or a prescribed law without its force.
     """
 
     normal: str = "unilateral"
@@ -53,10 +54,10 @@ class ContactLaws:
         if self.static_friction not in (known := get_args(StaticFriction)):
             listed, hint = ", ".join(f'"{name}"' for name in known), nearest(self.static_friction, known)
             raise ModelError(f'static_friction = "{self.static_friction}"; choose one of {listed}{hint}')
-        for name in ("friction", "initial_gap"):
+        for name, least, must in (("friction", 0.0, "finite and not negative"), ("initial_gap", -np.inf, "finite")):
             value = read_numbers(name, getattr(self, name))
-            if wrong := point_at(name, value, (value >= 0) & (value < np.inf)):
-                raise ModelError(f"{wrong}; it must be finite and not negative")
+            if wrong := point_at(name, value, (value >= least) & np.isfinite(value)):
+                raise ModelError(f"{wrong}; it must be {must}")
         if (find_kind("normal", self.normal) is Prescribed) != (self.normal_force is not None):
             raise ModelError('normal = "prescribed" goes with normal_force, and only with it; give both or neither')
         if not isinstance(self.parameters, Mapping):

@@ -231,7 +231,7 @@ class LawKind(Protocol):
         blind_to_mean: Whether a mean displacement changes nothing in the laws.
         rests: Whether a pair whose row of the model is zero along a tangent, as on a plane of symmetry, goes without
             a force there. Else such a pair is refused.
-        initial_gap: Clearance [m], scalar or ``(K,)``.
+        initial_gap: Clearance [m], scalar or ``(K,)``; negative: interference.
         friction: Coefficient of a Coulomb cone, scalar or ``(K,)``; zero where there is none.
     """
 

@@ -21,7 +21,7 @@ class Unilateral(LawKind):
     """Contact that opens.
 
     Args:
-        initial_gap: Clearance [m], scalar or ``(K,)``.
+        initial_gap: Clearance [m], scalar or ``(K,)``; negative: interference.
     """
 
     initial_gap: float | RealArray = 0.0

@@ -145,8 +145,9 @@ def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
     yield Effect("bonded parts", any(b.on for b in bonds), "; ".join(b.why for b in bonds if b.on) or "no bonded law")
     yield by_law("frictionless flanks", "tangential", "frictionless")
     parting = {where: laws for where, laws in joint.items() if find_kind("normal", laws.normal).opens}
-    gaps = [f"{where}.initial_gap = {laws.initial_gap:g} m" for where, laws in parting.items() if laws.initial_gap > 0]
-    yield Effect("initial gap", bool(gaps), "; ".join(gaps) or "contact.initial_gap = 0 m")
+    for effect, sign in (("initial gap", 1), ("interference", -1)):
+        gaps = [f"{w}.initial_gap = {c.initial_gap:g} m" for w, c in parting.items() if sign * c.initial_gap > 0]
+        yield Effect(effect, bool(gaps), "; ".join(gaps) or f"no initial_gap {'above' if sign > 0 else 'below'} 0 m")
     mixed = ", ".join(f"[flanks.{name}]" for name in scene.flanks)
     yield Effect("mixed flanks", bool(scene.flanks), mixed or "no [flanks]")
 

@@ -79,7 +79,7 @@ class Contact(Section):
         "Mean friction where a pair sticks throughout: `resolved`, the least; `held`, as loaded slowly from rest. "
         "`zero`: none at any pair, as in the paper.",
     )
-    initial_gap: Number = entry(0.0, "m", "Initial clearance of every pair.", ge=0)
+    initial_gap: Number = entry(0.0, "m", "Initial clearance of every pair; negative: interference, as of a press fit.")
     normal_force: Number | None = entry(
         None,
         "N",
@@ -119,7 +119,7 @@ class Flank(Section):
     parameters: Parameters | None = entry(None, "-", "Parameters of laws of your own on this flank.")
     friction: Number | None = entry(None, "-", "Coefficient of friction of this flank.", ge=0, le=1e6)
     static_friction: StaticFriction | None = entry(None, "-", "Mean friction force of this flank.")
-    initial_gap: Number | None = entry(None, "m", "Initial clearance of this flank's pairs.", ge=0)
+    initial_gap: Number | None = entry(None, "m", "Initial clearance of this flank's pairs; negative: interference.")
     normal_force: Number | None = entry(None, "N", "Normal force of each of this flank's pairs.", ge=0)
     wear: Number | None = entry(
         None, "1/Pa", "Wear coefficient of this flank in place of `[wear]`'s; 0: no wear.", ge=0

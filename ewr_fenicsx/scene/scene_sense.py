@@ -223,7 +223,7 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
         gap, friction = (
             "contact" if own and getattr(own, key) is None else where for key in ("initial_gap", "friction")
         )
-        if laws.initial_gap > WIDEST and "initial_gap" in list_parameters("normal", laws.normal):
+        if abs(laws.initial_gap) > WIDEST and "initial_gap" in list_parameters("normal", laws.normal):
             said[f"{gap}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"] = None
         if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
             said[

@@ -26,7 +26,7 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
     elif start is None or isinstance(start, str):
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
-        moves = bool(np.any(problem.clearance > 0)) or is_held_by_friction(problem)
+        moves = bool(np.any(problem.clearance)) or is_held_by_friction(problem)
         at_rest = find_rest(problem)[0] if moves else None
         if start == "rest" and moves and not at_rest:
             raise ModelError(f'start = "rest": no static solution of the laws was found; {_STARTS}')

@@ -263,7 +263,7 @@ def integrate(
         problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
         start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
             another result; ``"rest"``: the static state under the mean load, without velocity, in which all pairs are
-            closed, and without friction unless ``static_friction = "held"``; where there is a clearance, or friction
+            closed, and without friction unless ``static_friction = "held"``; where there are gaps, or friction
             is held, the static solution of the laws; None: that solution there, if it is found, else the full-stick
             periodic state, whose mean is the same state.
         steps: Steps a period.

@@ -35,6 +35,7 @@ SCENES = (
     "twisted_blade",
     "bladed_disk",
     "damped_ring",
+    "shrouded_ring",
 )
 
 
@@ -221,6 +222,17 @@ def test_damped_ring(run):
     assert carried @ [outwards[1], -outwards[0]] == pytest.approx(0.0, abs=1e-3 * np.linalg.norm(carried))
 
 
+def test_shrouded_ring(run):
+    """Interference alone presses the shrouds; with a little less of it they part, and the response jumps."""
+    summary, pairs, _ = run("shrouded_ring")
+    assert all(column(pairs, "flank") == "shroud") and column(pairs, "normal_force_mean [N]").sum() > 10.0
+    scene = load_scene(ROOT / "demos" / "shrouded_ring.toml")
+    problem = pose_problem(scene, build_chain(scene).reduction.model)
+    looser = solve(replace(problem, laws=replace(problem.laws, initial_gap=-4e-5)))
+    assert summary["solution"]["fallbacks"] == [] and looser.fallbacks
+    assert looser.merit["rms_tip"] > 5 * summary["solution"]["merit"]["rms_tip"]
+
+
 def test_the_page_shows_every_scene():
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for name in SCENES:
@@ -293,6 +305,10 @@ def test_choose_your_effects_runs_and_its_assertions_hold():
         ("damped_ring", {"sectors": 2}, "sectors = 2: expected 3 or more"),
         ("damped_ring", {"sectors": 50}, "hub_radius = 0.15: 50 shanks with 0.02 m between them are"),
         ("damped_ring", {"wedge_height": 0.02}, "wedge_height = 0.02: expected less than 0.01327, where"),
+        ("shrouded_ring", {"sectors": 2}, "sectors = 2: expected 3 or more"),
+        ("shrouded_ring", {"face_angle": 80.0}, "face_angle = 80.0: expected degrees from the x direction"),
+        ("shrouded_ring", {"sectors": 150, "face_angle": 60.0}, "face_angle = 60.0: with 150 sectors"),
+        ("shrouded_ring", {"pairs": 1}, "pairs = 1: expected at least 2"),
     ],
 )
 def test_builders_name_the_parameter_that_makes_no_sense(builder, parameters, message):

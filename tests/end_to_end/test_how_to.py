@@ -20,7 +20,7 @@ from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, RING, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
+SCRIPT, READER, ELEMENTS, RING, PRESSED, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
 SOLIDS, HALF, CYCLIC = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -86,6 +86,12 @@ def test_the_page_shows_the_rings_of_the_demos():
     assert tomllib.loads(CYCLIC)["cyclic"] == {key: getattr(shown, key) for key in tomllib.loads(CYCLIC)["cyclic"]}
     ((name, both),) = dampers.flanks.items()
     assert f'flanks = {{ {name} = ["{both[0]}", "{both[1]}"] }}' in PAGE
+
+
+def test_interference_is_enough_or_too_little(capsys):
+    exec(compile(PRESSED, "docs/how_to.md", "exec"), {})
+    enough, too_little = (float(line.split("by ")[1].split()[0]) for line in capsys.readouterr().out.splitlines())
+    assert too_little > 5 * enough > 0
 
 
 def test_a_solve_tells_what_it_is_about(caplog):

@@ -199,7 +199,7 @@ def test_other_counts_of_values_are_refused():
         ({"static_friction": "nought"}, 'static_friction = "nought"'),
         ({"friction": -0.1}, "friction = -0.1; it must be finite and not negative"),
         ({"friction": np.nan}, "friction = nan; it must be finite"),
-        ({"initial_gap": [0.0, -1e-6]}, r"initial_gap\[1\] = -1e-06; it must be finite and not negative"),
+        ({"initial_gap": [0.0, -np.inf]}, r"initial_gap\[1\] = -inf; it must be finite"),
         ({"normal": ["unilateral"]}, r"normal = .*; choose one of "),
         ({"parameters": None}, "parameters = None; give a dictionary such as"),
         ({"parameters": {"friction": 0.5}}, r'parameters\["friction"\] is an argument of its own; give friction = '),

@@ -25,6 +25,7 @@ FLANKS = {
     "platform_damper": ["left", "right"],
     "end_contact": ["face"],
     "damped_ring": ["near"],
+    "shrouded_ring": [],  # between sectors alone
 }
 PAIRS = {
     "fir_tree": 10,
@@ -34,6 +35,7 @@ PAIRS = {
     "platform_damper": 8,
     "end_contact": 5,
     "damped_ring": 8,
+    "shrouded_ring": 0,
 }
 TETRAHEDRA = [(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)]  # of a hexahedron
 
@@ -253,7 +255,8 @@ def test_parameters_reach_the_profile():
         ({"profile": "dovetial"}, r'profile = "dovetial": no builder .*; did you mean "dovetail"\?'),
         (
             {"profile": "zzz"},
-            "known are damped_ring, dovetail, end_contact, fir_tree, lap_joint, platform_damper, two_blocks, and",
+            "known are damped_ring, dovetail, end_contact, fir_tree, lap_joint, platform_damper, shrouded_ring, "
+            "two_blocks, and",
         ),
         ({"profile": "/nowhere/mine.py"}, "no builder /nowhere/mine.py; known are"),
         ({"profile": "blocks"}, 'profile = "blocks": no function `build`'),

@@ -243,6 +243,7 @@ def test_all_contradictions_come_at_once(read):
         (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
         (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
         (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
+        (SCENE + "[flanks.left]\ninitial_gap = -2", "flanks.left.initial_gap = -2 m is no gap of a joint"),
         (
             SCENE + "[wear]\ncoefficient = 1e-5",
             r"wear.coefficient = 1e-05 1/Pa .* was 1e-14 \(given in mm\^3/\(N m\)\) or 1e-11 \(given in 1/MPa",
@@ -348,13 +349,16 @@ def test_effects_of_mixed_scenes_say_where_they_come_from(read):
     assert covered["wear"].why.endswith("500 cycles, on flanks.top")
     own = (
         "[contact]\ninitial_gap = 1e-6\n[wear]\ncycles = 500\n[flanks.top]\nwear = 1e-12\n[flanks.right]\nwear = 0.0\n"
+        "[flanks.base]\ninitial_gap = -2e-6\n"
     )
     own += "[flanks.left]\nnormal = 'bonded'\ntangential = 'bonded'\n"
     scene = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = 1000\n" + own)
-    own = {effect.name: effect for effect in list_effects(scene, flanks=("left", "right", "top"))}
+    own = {effect.name: effect for effect in list_effects(scene, flanks=("left", "right", "top", "base"))}
     gaps = "flanks.top.initial_gap = 1e-06 m; flanks.right.initial_gap = 1e-06 m"
     assert own["initial gap"].why == gaps, "a bond knows of none"
-    assert own["wear"].why.endswith("500 cycles, on flanks.top (1e-12 1/Pa)")
+    assert own["interference"].why == "flanks.base.initial_gap = -2e-06 m"
+    assert not effects["interference"].on
+    assert own["wear"].why.endswith("500 cycles, on flanks.top (1e-12 1/Pa), flanks.base")
     sweep = read(HEAD + PULL + SHAKE + "[excitation]\nfrequency = { from = 900, to = 1000, points = 11 }\n")
     why = {e.name: e.why for e in list_effects(sweep) if e.on}["frequency sweep"]
     assert why == "11 frequencies, 900 to 1000 Hz"
