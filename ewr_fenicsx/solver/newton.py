@@ -74,14 +74,14 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
     harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``); from where a
-    few periods of time stepping end, and a long splitting leads from there; along Newton's path while the oscillating
-    load grows, with few samples a period first; laws with rounded corners that are sharpened along their branch;
-    damping traced from where little can bounce to the model's own; rounded corners through more sets of harmonics, with
-    the oscillating load traced from a small share to the whole, past folds; and that tracing by itself. Weights of
-    one's own that the first climb does not find, or that are far from the default ones, are come to from a solution
-    with these, which takes all these rungs and is the answer itself where no way leads on. Where Newton's method stalls
-    next to a solution, its path leads on from corner to corner (``newton_path.py``); each factorisation counts as a
-    Newton step.
+    few periods of time stepping end, and a long splitting leads from there, which in a ring of sectors begins at full
+    stick; along Newton's path while the oscillating load grows, with few samples a period first; laws with rounded
+    corners that are sharpened along their branch; damping traced from where little can bounce to the model's own;
+    rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the whole,
+    past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are far
+    from the default ones, are come to from a solution with these, which takes all these rungs and is the answer itself
+    where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
+    (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -191,7 +191,9 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
-    if not problem.model.cyclic:
+    if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
+        yield "long splitting", lambda best: split_from_full_stick(balance, tolerance, linear_solver, best)
+    else:
         yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
@@ -291,6 +293,15 @@ def start_from_time_stepping(
     told = f"from period to period its motion still changes {much} after {steady.periods}"
     doubtful = not steady.converged and change > APERIODIC
     return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
+
+
+def split_from_full_stick(
+    balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver, best: Attempt
+) -> Attempt:
+    """Newton from where a long splitting leads that begins at full stick; the best attempt where it leads nowhere."""
+    forces, rigid = balance.full_stick
+    split = split_at_length(balance, forces, balance.compliance.motion(forces, rigid), tolerance, linear_solver)
+    return split or replace(best, iterations=0, reason="no splitting came near a solution")
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:

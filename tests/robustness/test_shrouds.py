@@ -49,3 +49,19 @@ def test_a_joint_that_mostly_sticks_is_solved(shrouds, harmonics):
     assert abs(found.output("left")[1]) == pytest.approx(1.3555e-5, rel=2e-3)
     state = classify_contact(found, 256)
     assert np.mean(state[state != OPEN] == STICK) > 0.9
+
+
+@pytest.fixture(scope="module")
+def ring() -> ContactProblem:
+    chain = build_chain(load_scene(Path(__file__).parents[2] / "demos" / "shrouded_ring.toml"), MPI.COMM_SELF)
+    return pose_problem(chain.scene, chain.reduction.model, chain.interface)
+
+
+@pytest.mark.parametrize("frequency", [450.0, 900.0, 1500.0])
+def test_shrouds_that_flap_are_found_by_a_long_splitting(ring, frequency):
+    """Of one sector for all, where a cold start fails: from full stick, at next to no Newton steps."""
+    loose = replace(ring, laws=replace(ring.laws, initial_gap=-1e-6), frequency=frequency, harmonics=5)
+    assert not solve(loose, fallbacks=False, raise_on_failure=False).converged
+    found = solve(loose)
+    assert [tried.split(":")[0] for tried in found.fallbacks] == ["cold start", "long splitting"]
+    assert found.iterations < 40 and found.history("gap").max() > 5e-6
