@@ -115,17 +115,7 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     Raises:
         ModelError: A law needs contact rows that the model lacks, or a row that nothing can move.
     """
-    held, active = [np.zeros((0, model.size))], {}
-    for demand in demands:
-        pairs = np.array(demand.pairs, dtype=int)
-        if model.joins_sectors and demand.held:
-            _refuse_bonds_between_sectors(model, pairs, demand.held)
-        held += [model.rows(direction)[pairs] for direction in demand.held]
-        for direction in demand.active:
-            acting = pairs[_moves(model, direction, pairs)] if direction in demand.resting else pairs
-            active.setdefault(direction, []).append(acting)
-    active = {direction: np.sort(np.concatenate(active[direction])) for direction in DIRECTIONS if direction in active}
-    directions = {direction: pairs for direction, pairs in active.items() if pairs.size}
+    held, directions = _gather_demands(model, demands)
     gather = lambda read: np.vstack(  # noqa: E731
         [np.zeros((0, model.size)), *(read(name)[pairs] for name, pairs in directions.items())]
     )
@@ -137,17 +127,9 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         index[name] = np.full(model.pairs, -1)
         index[name][pairs] = np.arange(start, start + pairs.size)
         start += pairs.size
-    kept, expansion = hold(model, np.vstack(held))
+    kept, expansion = hold(model, held)
     usual = whole @ expansion
-    immobile = np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1)
-    if np.any(immobile):
-        places = [(name, pair) for name, pairs in directions.items() for pair in pairs]
-        name, pair = places[int(np.argmax(immobile))]
-        in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
-        raise ModelError(
-            f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is held by supports, "
-            f"or held by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
-        )
+    _refuse_immobile(np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1), index)
     flexibility, mobility = measure_flexibility(kept, usual, wave)
     if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
         twins = np.array([index[direction] for direction in TANGENTS])
@@ -157,6 +139,34 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     next_rows = None if next_rows is None else next_rows @ expansion
     rows = rows @ expansion if wave else usual
     return Layout(kept, expansion, rows, next_rows, index, flexibility, mobility)
+
+
+def _gather_demands(model: ReducedModel, demands: tuple[Demand, ...]) -> tuple[RealArray, dict[str, np.ndarray]]:
+    """Rows ``(k, n)`` that are held, and direction -> pairs, rising, at which an unknown force acts in it."""
+    held, active = [np.zeros((0, model.size))], {}
+    for demand in demands:
+        pairs = np.array(demand.pairs, dtype=int)
+        if model.joins_sectors and demand.held:
+            _refuse_bonds_between_sectors(model, pairs, demand.held)
+        held += [model.rows(direction)[pairs] for direction in demand.held]
+        for direction in demand.active:
+            acting = pairs[_moves(model, direction, pairs)] if direction in demand.resting else pairs
+            active.setdefault(direction, []).append(acting)
+    directions = {d: np.sort(np.concatenate(active[d])) for d in DIRECTIONS if d in active}
+    return np.vstack(held), {direction: pairs for direction, pairs in directions.items() if pairs.size}
+
+
+def _refuse_immobile(immobile: np.ndarray, index: Mapping[str, np.ndarray]) -> None:
+    """Refuses rows that nothing can move, ``immobile`` ``(m,)``."""
+    if not np.any(immobile):
+        return
+    row = int(np.argmax(immobile))
+    name, pair = next((name, int(np.argmax(at == row))) for name, at in index.items() if np.any(at == row))
+    in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
+    raise ModelError(
+        f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is held by supports, "
+        f"or held by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
+    )
 
 
 def _refuse_bonds_between_sectors(model: ReducedModel, pairs: np.ndarray, held: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 
 import dolfinx
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity
-from ewr_fenicsx.structure.mesh import Ring, find_body_of_cells, find_cells_beside, rotate_by_sector
+from ewr_fenicsx.structure.mesh import JointMesh, Ring, find_body_of_cells, find_cells_beside, rotate_by_sector
 from ewr_fenicsx.structure.pair_frames import follow_rows, follow_tangent, measure_turn, turn_along_supports
 
 STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
@@ -126,18 +127,7 @@ def pair_interface(
             that has both bodies on the same side, or a pair whose nodes are both held across the flank.
     """
     mesh, beyond = structure.mesh, ring.flanks if ring else {}
-    for body in filter(None, (body_a, body_b)):
-        if body not in mesh.bodies:
-            raise InterfaceError(
-                f'no body named "{body}"; there are {", ".join(mesh.bodies)}{nearest(body, mesh.bodies)}'
-            )
-    if body_a == body_b:
-        raise InterfaceError(f'both sides of the joint are on the same body, "{body_a}"; name two')
-    for flank in [*(flanks or ()), *(name for both in beyond.values() for name in both)]:
-        if flank not in mesh.boundaries:
-            raise InterfaceError(
-                f'no flank named "{flank}"; there are {", ".join(mesh.boundaries)}{nearest(flank, mesh.boundaries)}'
-            )
+    _check_names(mesh, [body_a, *filter(None, [body_b])], [*(flanks or ()), *chain.from_iterable(beyond.values())])
     # ranks must go through the same collective calls in the same order
     sides = {} if body_b is None else _find_sides(structure, flanks, body_a, body_b, in_use)
     if not (sides or beyond):
@@ -145,29 +135,49 @@ def pair_interface(
             f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
             f"group that holds the {_say_outlines(mesh.dimension)} of both bodies"
         )
+    if twice := [name for name in beyond if name in sides]:
+        raise InterfaceError(
+            f'flank "{twice[0]}" is a boundary of both bodies, too; give that to the next sector another name'
+        )
     whose = dict.fromkeys(sides, (body_a, body_b)) | {n: (a, f"next sector's {b}") for n, (a, b) in beyond.items()}
     on = (*sides, *(side for side, _ in beyond.values()))
     for name, (side, other) in beyond.items():
-        if name in sides:
-            raise InterfaceError(
-                f'flank "{name}" is a boundary of both bodies, too; give that to the next sector another name'
-            )
         sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
     names, closes = tuple(sides), "; see sectors, centre, axis and which comes first in cyclic.flanks" if beyond else ""
     paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes if n in beyond else "") for n in names]
     for name, (a, b) in zip(names, paired, strict=True):
         _check_smooth(name, a)
         _check_opposed(name, a, b, *whose[name])
+    return _lay_pairs(structure, names, paired, on, ring)
+
+
+def _check_names(mesh: JointMesh, bodies: Sequence[str], flanks: Sequence[str]) -> None:
+    """Refuses bodies and flanks that the mesh has not."""
+    for kind, names, known in (("body", bodies, mesh.bodies), ("flank", flanks, mesh.boundaries)):
+        for name in names:
+            if name not in known:
+                raise InterfaceError(f'no {kind} named "{name}"; there are {", ".join(known)}{nearest(name, known)}')
+    if len(set(bodies)) < len(bodies):
+        raise InterfaceError(f'both sides of the joint are on the same body, "{bodies[0]}"; name two')
+
+
+def _lay_pairs(
+    structure: elasticity.Structure,
+    names: tuple[str, ...],
+    paired: Sequence[tuple[_Side, _Side]],
+    on: tuple[str, ...],
+    ring: Ring | None,
+) -> Interface:
+    """The pairs of all flanks, whose sides are ``paired`` node by node, with A's ``on`` boundaries of these names."""
+    dimension, beyond = structure.mesh.dimension, ring.flanks if ring else {}
     flank_of_pair = np.repeat(np.arange(len(names)), [len(a.nodes) for a, _ in paired])
     nodes_a, nodes_b = (np.concatenate([pair[k].nodes for pair in paired]) for k in (0, 1))
     position, position_b = (np.concatenate([pair[k].position for pair in paired]) for k in (0, 1))
     is_next = np.array([name in beyond for name in names])[flank_of_pair]
     _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b)
-    held_a, held_b = (
-        np.isin(boundaries.list_dofs(nodes, mesh.dimension), structure.fixed) for nodes in (nodes_a, nodes_b)
-    )
+    held_a, held_b = (np.isin(boundaries.list_dofs(nodes, dimension), structure.fixed) for nodes in (nodes_a, nodes_b))
     if beyond:  # what is held in the next sector is turned with it
-        squares = rotate_by_sector(ring, mesh.dimension) ** 2
+        squares = rotate_by_sector(ring, dimension) ** 2
         held_b = np.where(is_next[:, None], held_b @ squares.T > 1 - _SAME, held_b)
     still = held_a & held_b
     normal = np.concatenate([a.normal for a, _ in paired])
@@ -178,7 +188,7 @@ def pair_interface(
     tangent, here = np.concatenate(tangents), ~is_next[:, None]
     further = {}
     if beyond:
-        turned, centre = rotate_by_sector(ring, mesh.dimension), np.array(ring.centre)
+        turned, centre = rotate_by_sector(ring, dimension), np.array(ring.centre)
         position_b = np.where(here, position_b, centre + (position_b - centre) @ turned)
         further["next_normal_gap"] = _move(nodes_b, normal @ turned * ~here, size)
         further["next_tangential_slip"] = -_move(nodes_b[each], tangent @ turned * ~here[each], size)
