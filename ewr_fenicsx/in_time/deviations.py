@@ -27,7 +27,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.model.receptance import find_undamped_modes
+from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
@@ -42,7 +42,6 @@ VARIABLES = ("force", "displacement", "velocity")  # by which deviations see the
 SHARE = 1 - 1 / np.sqrt(2)  # of a step, at which the scheme's first stage lies
 TOGETHER = 64  # steps whose matrices are held at a time
 RESOLVED = 8  # steps a period of the fastest mode that is stepped; with many more, what closes gets a kick
-DAMPED = 0.5  # damping force over elastic force at the highest frequency, from which on a mode does not bend at once
 
 
 def is_followed(derivative: Derivative) -> bool:
@@ -254,49 +253,17 @@ class Monodromy(NamedTuple):
     modes: int
 
 
-class Followed(NamedTuple):
-    """The modes that deviations are made of, ``p`` of them, as ``m`` contact rows see them."""
-
-    mass: RealArray  # (p, p)
-    damping: RealArray  # (p, p)
-    stiffness: RealArray  # (p, p)
-    rows: RealArray  # (m, p)
-    rest: RealArray  # (m, m) flexibility by all other modes, which bend at once
-
-
 def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealArray, samples: int) -> Slopes | None:
     """Derivatives of all laws at a solution; None where one is by something else than ``VARIABLES``, or remembers."""
     balance, unknowns = pose_at(system.sample(samples), forces, rigid)
     return Slopes.of(balance.linearise(unknowns).derivatives, balance.rows)
 
 
-def follow_modes(system: ContactSystem, reach: float) -> Followed:
-    """The modes up to an angular frequency [rad/s], and those that damping holds up below it; or all coordinates.
-
-    All where the stiffness is not positive.
-    """
-    model, rows = system.model, system.rows
-    modes = find_undamped_modes(model)
-    if modes is None:
-        return Followed(model.mass, model.damping, model.stiffness, rows, np.zeros((len(rows),) * 2))
-    damping = modes.shapes.T @ model.damping @ modes.shapes
-    held_up = np.abs(damping).max(axis=1, initial=0.0) * reach > DAMPED  # of shapes with unit stiffness
-    follows = (modes.mass * reach**2 >= modes.stiffness) | held_up
-    kept, left = modes.shapes[:, follows], rows @ modes.shapes[:, ~follows]
-    return Followed(
-        mass=np.diag(modes.mass[follows]),
-        damping=damping[np.ix_(follows, follows)],
-        stiffness=np.diag(modes.stiffness[follows]),
-        rows=rows @ kept,
-        rest=left / modes.stiffness[~follows] @ left.T,
-    )
-
-
 def eliminate_steady(modes: Followed, slopes: Slopes, exponents: ComplexArray) -> tuple[ComplexArray, ...]:
     """What forces make of deviations that grow by ``exp(z t)``, with the equations of steady rows solved.
 
     Args:
-        modes: The modes that follow.
+        modes: The modes that follow; of waves, one for each exponent.
         slopes: The laws' derivatives.
         exponents: z, ``(k,)`` [1/s].
 
@@ -310,11 +277,11 @@ def eliminate_steady(modes: Followed, slopes: Slopes, exponents: ComplexArray) -
     """
     z = exponents[:, None, None]
     answer = np.linalg.inv(z**2 * modes.mass + z * modes.damping + modes.stiffness)
-    flexibility = modes.rows @ answer @ modes.rows.T + modes.rest
+    flexibility = modes.rows @ answer @ np.conj(modes.rows).swapaxes(-1, -2) + modes.rest
     x, s, slope = slopes.changing, slopes.steady, slopes.at_steady
     own = slope["force"] + (slope["displacement"] + z * slope["velocity"]) @ flexibility
     inverse = np.linalg.inv(own[:, :, s])
-    follow = np.zeros((len(z), len(modes.rows), x.size), dtype=own.dtype)
+    follow = np.zeros((len(z), modes.rows.shape[-2], x.size), dtype=own.dtype)
     follow[:, x] = np.eye(x.size)
     follow[:, s] = -inverse @ own[:, :, x]
     return answer, flexibility, inverse, follow
@@ -335,7 +302,7 @@ def step_deviations(system: ContactSystem, slopes: Slopes, periods: int = 1) -> 
     dt = 4 * np.pi * periods / (system.compliance.omega * samples)
     h = SHARE * dt
     modes = follow_modes(system, 2 * np.pi / (RESOLVED * dt))
-    at_steady, x, p = slopes.at_steady, slopes.changing, len(modes.mass)
+    at_steady, x, p = slopes.at_steady, slopes.changing, modes.count
     remembers = np.any(at_steady["velocity"], axis=0)
     for slope in slopes.at_changing:
         if slope.variable == "velocity":

@@ -26,11 +26,11 @@ from ewr_fenicsx.in_time.deviations import (
     Slopes,
     differentiate_along,
     differentiate_laws,
-    follow_modes,
     is_followed,
     step_deviations,
     watch_course,
 )
+from ewr_fenicsx.in_time.followed_modes import follow_modes
 from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
@@ -223,7 +223,7 @@ def read_exponents(stepped: Monodromy, omega: float, least: float) -> ComplexArr
 
 def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:
     """The largest of the multipliers with exponents near a guess that count; 0 where none does."""
-    exponents = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()
+    exponents = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()[0]
     found = max(np.exp(2 * np.pi * exponents / system.compliance.omega), key=abs, default=0.0)
     return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
 

@@ -24,7 +24,8 @@ import scipy.linalg
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
 from ewr_fenicsx.given import ComplexArray
-from ewr_fenicsx.in_time.deviations import Slopes, eliminate_steady, follow_modes
+from ewr_fenicsx.in_time.deviations import Slopes, eliminate_steady
+from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
 NEAREST, SPACE, RESTARTS = 3, 24, 10  # exponents looked for near a guess; vectors of Arnoldi's method, how often anew
@@ -42,18 +43,21 @@ class Hill:
         slopes: The laws' derivatives, at any number of samples more than twice the highest harmonic.
         exponent: s [1/s].
         top: N.
+        modes: The modes that follow; of waves, one for each harmonic from -N to N. None: those of ``system``.
 
     Raises:
         LinAlgError: Redundant pairs share their forces in any way.
     """
 
-    def __init__(self, system: ContactSystem, slopes: Slopes, exponent: complex, top: int):
+    def __init__(
+        self, system: ContactSystem, slopes: Slopes, exponent: complex, top: int, modes: Followed | None = None
+    ):
         self.exponent, self.slopes = exponent, slopes
         self.m = len(system.rows)
         self.orders = np.arange(-top, top + 1)
         self.z = exponent + 1j * self.orders * system.compliance.omega
-        self.modes = modes = follow_modes(system, FOLLOWS * top * system.compliance.omega)
-        solved = eliminate_steady(modes, slopes, self.z)
+        self.modes = modes or follow_modes(system, FOLLOWS * top * system.compliance.omega)
+        solved = eliminate_steady(self.modes, slopes, self.z)
         self.answer, self.flexibility, self.steady_inverse, self.follow = solved
 
     @cached_property
@@ -83,43 +87,46 @@ class Hill:
             raise np.linalg.LinAlgError("forces are not unique")
         return factors
 
-    def find_nearest(self) -> ComplexArray:
-        """The exponents nearest to this one [1/s], few.
+    def find_nearest(self, few: int = NEAREST) -> tuple[ComplexArray, ComplexArray]:
+        """The exponents nearest to this one [1/s], and their modal coordinates ``(few, 2 N + 1, p)``.
 
         Raises:
             LinAlgError: Redundant pairs share their forces in any way.
         """
-        size = self.orders.size * (2 * len(self.modes.mass) + self.m)
+        size = self.orders.size * (2 * self.modes.count + self.m)
         if size <= SMALL:
-            values = np.linalg.eigvals(np.array([self.invert(unit) for unit in np.eye(size)]).T)
+            values, states = np.linalg.eig(np.array([self.invert(unit) for unit in np.eye(size)]).T)
         else:
             start = self.invert(self.invert(np.random.default_rng(0).standard_normal(size) + 0j))
             operator = LinearOperator((size, size), matvec=self.invert, dtype=complex)
-            arnoldi = {"ncv": SPACE, "v0": start, "maxiter": RESTARTS, "tol": TOLERANCE, "return_eigenvectors": False}
+            arnoldi = {"ncv": SPACE, "v0": start, "maxiter": RESTARTS, "tol": TOLERANCE}
             try:
-                values = eigs(operator, NEAREST, **arnoldi)
+                values, states = eigs(operator, few, **arnoldi)
             except ArpackNoConvergence as found:
-                values = found.eigenvalues
-        values = values[np.argsort(-np.abs(values))][:NEAREST]
-        return self.exponent + 1 / values[np.abs(values) > 0]
+                values, states = found.eigenvalues, found.eigenvectors
+        nearest = np.argsort(-np.abs(values))[:few]
+        nearest = nearest[np.abs(values[nearest]) > 0]
+        motion = states[: self.orders.size * self.modes.count, nearest]
+        return self.exponent + 1 / values[nearest], motion.T.reshape(-1, self.orders.size, self.modes.count)
 
     def invert(self, vector: ComplexArray) -> ComplexArray:
         """``(A - s B)^-1 B`` times a vector ``(a, b, lam)``, for the equations above as ``A y = s B y``."""
-        modes, z, count, p = self.modes, self.z[:, None], self.orders.size, len(self.modes.mass)
+        modes, z, count, p = self.modes, self.z[:, None], self.orders.size, self.modes.count
         a, b, forces = np.split(vector, [count * p, 2 * count * p])
         a, b, forces = a.reshape(count, p), b.reshape(count, p), forces.reshape(count, self.m)
-        pushed = -(b + z * a) @ modes.mass - a @ modes.damping.T
-        moved = np.einsum("hij,hj->hi", self.answer, pushed)  # without forces
-        motion, velocity = moved @ modes.rows.T, (a + z * moved) @ modes.rows.T + forces @ modes.rest
+        pushed = -_multiply(modes.mass, b + z * a) - _multiply(modes.damping, a)
+        moved = _multiply(self.answer, pushed)  # without forces
+        motion = _multiply(modes.rows, moved)
+        velocity = _multiply(modes.rows, a + z * moved) + _multiply(modes.rest, forces)
         told = self.weigh({"displacement": motion, "velocity": velocity})
         s, x = self.slopes.steady, self.slopes.changing
         solved = np.zeros((count, self.m), dtype=complex)
-        solved[:, s] = -np.einsum("hij,hj->hi", self.steady_inverse, told[:, s])
-        motion = np.einsum("hij,hj->hi", self.flexibility, solved)
+        solved[:, s] = -_multiply(self.steady_inverse, told[:, s])
+        motion = _multiply(self.flexibility, solved)
         told += self.weigh({"force": solved, "displacement": motion, "velocity": z * motion})
         left = scipy.linalg.lu_solve(self.factors, -told[:, x].ravel(), check_finite=False).reshape(count, x.size)
-        solved += np.einsum("hij,hj->hi", self.follow, left)
-        moved += np.einsum("hij,hj->hi", self.answer, solved @ modes.rows)
+        solved += _multiply(self.follow, left)
+        moved += _multiply(self.answer, _multiply(np.conj(modes.rows).swapaxes(-1, -2), solved))
         return np.concatenate([moved.ravel(), (a + z * moved).ravel(), solved.ravel()])
 
     def weigh(self, variables: dict[str, ComplexArray]) -> ComplexArray:
@@ -137,3 +144,8 @@ class Hill:
                 sampled[:, slope.at] += slope.values * histories[slope.variable][:, slope.columns]
         told[:, slopes.changing] = np.fft.fft(sampled, axis=0)[self.orders]
         return told
+
+
+def _multiply(matrices: np.ndarray, vectors: ComplexArray) -> ComplexArray:
+    """A product at each harmonic, ``(2 N + 1, ...)``, by a matrix for each or the same for all."""
+    return np.matmul(matrices, vectors[..., None])[..., 0]

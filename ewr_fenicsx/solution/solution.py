@@ -11,6 +11,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.floquet import find_growth, grows, list_unfollowed, settles, tell_where_to
+from ewr_fenicsx.in_time.ring_growth import RingGrowth, find_ring_growth, leaves
 from ewr_fenicsx.in_time.stability import alternates, find_side
 from ewr_fenicsx.in_time.walking import Walk, measure_walk, watch_walk
 from ewr_fenicsx.problem.harmonics import FourierBasis
@@ -162,14 +163,24 @@ class PeriodicSolution(PeriodicMotion):
         """Where the largest multiplier is not looked for: in a ring, or because of what a law of one's own sees."""
         looked_at = self.orders[-1] and self.problem.system.laws and not self.unstable
         if looked_at and self.problem.model.cyclic and self._rubs_or_taps:
-            return ["stability is not looked at: whether motions in time leave the wave that travels round the ring "
-                    "shows in integrate(...) on unroll_ring(model)"]  # fmt: skip
+            return self._list_growth_round_the_ring()
         if not (self.problem.own_kinds and looked_at):
             return []
         here = self._forgetful
         unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
         told = "; ".join(f"{name} sees {' and '.join(seen)}" for name, seen in unfollowed.items())
         return [f"stability is not looked at: {told}"] if told else []
+
+    def _list_growth_round_the_ring(self) -> list[str]:
+        """Where deviations of other nodal diameters grow, or are not looked at."""
+        growth, steps = self.ring_growth, "integrate(...) on unroll_ring(model)"
+        whether = "whether motions in time leave the wave that travels round the ring"
+        if growth is None:
+            return [f"stability is not looked at: {whether} shows in {steps}"]
+        if not leaves(growth):
+            return []
+        grows = f"deviations of {growth.diameters} nodal diameters grow by {growth.factor - 1:.0%} a period"
+        return [f"perhaps unstable: as truncated forces have it, {grows}; {whether} shows in {steps}"]
 
     @cached_property
     def _swinging(self) -> float:
@@ -281,6 +292,17 @@ class PeriodicSolution(PeriodicMotion):
         here = self._forgetful
         found = find_growth(here.problem, here.forces, here.rigid, here.coordinates)
         return 0.0 if found and self._settles else found
+
+    @cached_property
+    def ring_growth(self) -> RingGrowth | None:
+        """Of a sector of a ring: the deviation, of any nodal diameters, that grows most; None: it is not looked at.
+
+        See ``ring_growth.py``.
+        """
+        if not (self.converged and self.problem.model.cyclic and self.problem.system.laws and self.orders[-1]):
+            return None
+        here = self._forgetful
+        return find_ring_growth(here.problem.system, here.forces, here.rigid)
 
     @cached_property
     def _taps(self) -> bool:

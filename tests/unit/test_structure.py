@@ -29,7 +29,10 @@ ORDER = {
         "law_claims",
     ],
     "balance": ["petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
-    "in_time": ["time_stepping", "periodicity", "deviations", "hill", "floquet", "stability", "walking"],
+    "in_time": [
+        "time_stepping", "periodicity", "followed_modes", "deviations", "hill", "floquet", "ring_growth", "stability",
+        "walking",
+    ],
     "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
     "solver": [
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",

@@ -1,0 +1,92 @@
+"""Whether motions of a ring of sectors leave the wave in which all move alike, one after the other.
+
+A deviation may travel round as a wave of its own: one that grows by ``exp(s t)``, its part at harmonic h in wave
+``h E + k``, k any number of nodal diameters. Every sector then sees the laws' derivatives as late as its motion comes,
+and each k has a Hill's matrix of its own (``hill.py``), of one sector, with the modes of these waves. Together they
+have the exponents of the whole ring; those of -k are the conjugate ones.
+
+No motion of one sector in time tells where to look, so that it is looked around some points of the imaginary axis; nor
+is growth borne out by one: truncated, pairs that lift off may call a wave unstable that motions in time hardly leave.
+``integrate`` on the whole ring decides.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.in_time.deviations import Slopes, differentiate_laws
+from ewr_fenicsx.in_time.floquet import FEWEST, GROWTH, SAMPLES
+from ewr_fenicsx.in_time.followed_modes import Followed, follow_waves
+from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
+from ewr_fenicsx.problem.contact_system import ContactSystem
+
+MOST_WORK = 6e9  # cube of a Hill's matrix's unknowns, times the sectors: some seconds
+# Points of the imaginary axis, over the frequency, around which exponents are looked for, how far beside it, and how
+# many at each: exponents and waves repeat with the frequency.
+ALONG, BESIDE, FEW = (-0.375, -0.125, 0.125, 0.375), 0.01, 6
+# Share of a deviation at the outermost harmonics, two on either side, from which on its exponent is none: cut off there
+EDGE = 0.1
+
+
+class RingGrowth(NamedTuple):
+    """The deviation of a ring that grows most: by how much over a period, and its nodal diameters."""
+
+    factor: float
+    diameters: int
+
+
+def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> RingGrowth | None:
+    """The deviation from a wave round a ring of sectors that grows most, or falls least.
+
+    Args:
+        system: What was solved, of a sector of a ring.
+        forces: Its solution's contact forces ``(n_h, m)`` [N].
+        rigid: Its rigid coordinates ``(r,)`` [m].
+
+    Returns:
+        None where it is not looked at: too many rows change status, none does, or a law remembers; where the stiffness
+        is not positive, and where redundant pairs share their forces in any way.
+    """
+    slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
+    top = max(system.basis.orders[-1], FEWEST)
+    sectors = system.model.cyclic.sectors
+    if slopes is None or not 0 < sectors * ((2 * top + 1) * slopes.changing.size) ** 3 <= MOST_WORK:
+        return None
+    try:
+        modes = follow_waves(system, FOLLOWS * top * system.compliance.omega)
+        offsets = range(sectors // 2 + 1)
+        found = [growth for offset in offsets for growth in _look_along(system, slopes, modes, top, offset)]
+    except np.linalg.LinAlgError:
+        return None
+    return max(found, default=None)
+
+
+def leaves(growth: RingGrowth | None) -> bool:
+    """Whether a deviation grows by more than truncation errs."""
+    return growth is not None and growth.factor > GROWTH
+
+
+def _look_along(system: ContactSystem, slopes: Slopes, modes: Followed, top: int, offset: int) -> list[RingGrowth]:
+    """What is found around points of the imaginary axis, of deviations in waves that are ``offset`` from the motion's.
+
+    Args:
+        system: What was solved.
+        slopes: The laws' derivatives.
+        modes: The modes that follow, in all waves.
+        top: Highest harmonic.
+        offset: k.
+    """
+    ring, omega = system.model.cyclic, system.compliance.omega
+    waves = (np.arange(-top, top + 1) * ring.engine_order + offset) % ring.sectors
+    here, found = Followed(*(each[waves] for each in modes)), []
+    for place in ALONG:
+        exponents, motions = Hill(system, slopes, (BESIDE + 1j * place) * omega, top, here).find_nearest(FEW)
+        for exponent, motion in zip(exponents, motions, strict=True):
+            shares = np.sum(np.abs(motion) ** 2, axis=1)
+            if shares[:2].sum() + shares[-2:].sum() < EDGE * shares.sum():
+                factor = float(np.exp(2 * np.pi * exponent.real / omega))
+                found.append(RingGrowth(factor, ring.count_diameters(int(waves[np.argmax(shares)]))))
+    return found
