@@ -143,7 +143,15 @@ def prepare_model(name: str, damping: float) -> tuple[ReducedModel, float]:
 
 def pose_case(case: Case) -> ContactProblem:
     """The contact problem of a case; everything is scaled by what the model itself says."""
-    model, first = prepare_model(case.model, case.damping)
+    problem = pose_on(*prepare_model(case.model, case.damping), case)
+    if case.rho == (1, 1):
+        return problem
+    normal, tangential = (law.rho for law in problem.system.laws)
+    return replace(problem, rho_normal=case.rho[0] * normal, rho_tangential=case.rho[1] * tangential)
+
+
+def pose_on(model: ReducedModel, first: float, case: Case) -> ContactProblem:
+    """The same on a damped model whose first mode is given [Hz], with the default weights."""
     frequency = case.frequency * first
     kind, share = case.load
     # quasi-static means far below the first mode
@@ -162,11 +170,7 @@ def pose_case(case: Case) -> ContactProblem:
             "half open": np.where(np.arange(model.pairs) < model.pairs // 2, 1.0, 0.0),
         }[case.gap]
     )
-    problem = ContactProblem(model, ContactLaws(friction=case.friction, initial_gap=gap), frequency, case.harmonics)
-    if case.rho == (1, 1):
-        return problem
-    normal, tangential = (law.rho for law in problem.system.laws)
-    return replace(problem, rho_normal=case.rho[0] * normal, rho_tangential=case.rho[1] * tangential)
+    return ContactProblem(model, ContactLaws(friction=case.friction, initial_gap=gap), frequency, case.harmonics)
 
 
 def run_case(name: str, pose: Callable[[], ContactProblem], cap: float) -> Outcome:

@@ -233,6 +233,25 @@ the axis (`supports.hold`).""",
     ]
 
 
+def describe_rings(found: dict) -> list[str]:
+    """What converges of rings of sectors, and what their solutions say of motions in time, as Markdown."""
+    return [
+        f"""One sector for all (`benchmarks/rings.py`, seed {found["seed"]}): the rings of the gallery, with the
+frequencies, loads, friction, damping and gaps of the hard cases, 1 to 15 harmonics and the default weights; cold,
+nothing tuned by case, within {found["cap_seconds"]:g} s. Frequencies of the ring with shrouds are over its first mode
+with the joint open. There is no time stepping among the ways to a solution.""",
+        "",
+        write_table(found["header"], found["rows"]),
+        "",
+        """Do motions in time leave the waves that are called perhaps unstable (`solution.ring_growth`), and no others?
+Small rings of five sectors, stepped for 60 periods from where the solution is; "leave" means that sectors come to
+differ by more than three per cent, and go on changing by as much. Few harmonics see little; many see how contact nodes
+chatter where motions stay, and are not quite periodic.""",
+        "",
+        write_table(found["fates_header"], found["fates"]),
+    ]
+
+
 def describe_newton_cost(found: dict) -> list[str]:
     """Times of warm and cold solves over one dense solve as Markdown."""
     keys = ["N", "frequencies", "count", "unknowns", "dense ms", "warm", "cold", "worst warm", "worst cold"]
@@ -305,6 +324,7 @@ as one, and their answers {found["difference"]:.0e} of the largest amplitude apa
 BENCHMARKS = {
     "Hard cases": ("hard_cases", describe_hard_cases),
     "Solids that hang on friction": ("hanging_solids", describe_hanging_solids),
+    "Rings of sectors, cold starts and motions in time": ("rings", describe_rings),
     "Cold starts": ("cold_starts", describe_cold_starts),
     "What a solve costs": ("newton_cost", describe_newton_cost),
     "How a step grows": ("scaling", describe_scaling),

@@ -107,7 +107,7 @@ class Hill:
         nearest = np.argsort(-np.abs(values))[:few]
         nearest = nearest[np.abs(values[nearest]) > 0]
         motion = states[: self.orders.size * self.modes.count, nearest]
-        return self.exponent + 1 / values[nearest], motion.T.reshape(-1, self.orders.size, self.modes.count)
+        return self.exponent + 1 / values[nearest], motion.T.reshape(nearest.size, self.orders.size, self.modes.count)
 
     def invert(self, vector: ComplexArray) -> ComplexArray:
         """``(A - s B)^-1 B`` times a vector ``(a, b, lam)``, for the equations above as ``A y = s B y``."""

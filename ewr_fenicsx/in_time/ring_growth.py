@@ -23,7 +23,9 @@ from ewr_fenicsx.in_time.followed_modes import Followed, follow_waves
 from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
-MOST_WORK = 6e9  # cube of a Hill's matrix's unknowns, times the sectors: some seconds
+MOST_WORK = 2.5e10  # multiplications: some seconds
+# Of these, over the cube of its size, a matrix's eigenvectors, and a complex inverse; and at each point, at least.
+EIGENVECTORS, INVERSE, EACH = 10, 4, 3e7
 # Points of the imaginary axis, over the frequency, around which exponents are looked for, how far beside it, and how
 # many at each: exponents and waves repeat with the frequency.
 ALONG, BESIDE, FEW = (-0.375, -0.125, 0.125, 0.375), 0.01, 6
@@ -47,17 +49,25 @@ def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArr
         rigid: Its rigid coordinates ``(r,)`` [m].
 
     Returns:
-        None where it is not looked at: too many rows change status, none does, or a law remembers; where the stiffness
-        is not positive, and where redundant pairs share their forces in any way.
+        None where it is not looked at: it takes long, a law remembers, the stiffness is not positive, or redundant
+        pairs share their forces in any way; and where all that is found is cut off at the highest harmonics.
     """
     slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
-    top = max(system.basis.orders[-1], FEWEST)
-    sectors = system.model.cyclic.sectors
-    if slopes is None or not 0 < sectors * ((2 * top + 1) * slopes.changing.size) ** 3 <= MOST_WORK:
+    if slopes is None:
+        return None
+    if not slopes.changing.size:
+        slopes = slopes.treat_all_as_changing()
+    top, sectors = max(system.basis.orders[-1], FEWEST), system.model.cyclic.sectors
+    offsets = range(sectors // 2 + 1)
+    points = len(offsets) * len(ALONG)
+    work = points * (EACH + ((2 * top + 1) * slopes.changing.size) ** 3)
+    work += EIGENVECTORS * sectors * system.model.size**3
+    if work > MOST_WORK:
         return None
     try:
         modes = follow_waves(system, FOLLOWS * top * system.compliance.omega)
-        offsets = range(sectors // 2 + 1)
+        if work + INVERSE * points * (2 * top + 1) * modes.count**3 > MOST_WORK:
+            return None
         found = [growth for offset in offsets for growth in _look_along(system, slopes, modes, top, offset)]
     except np.linalg.LinAlgError:
         return None

@@ -164,8 +164,10 @@ def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None
     """Titles of the figure and of its panels, and the legend's entry for the normals."""
     scene, interface = chain.scene, chain.interface
     whole.set_title(f"{chain.structure.space.dofmap.index_map.size_global} nodes, {chain.mesh.cells} cells")
-    closed = any(scene.laws_on(flank).initial_gap for flank in interface.flanks)
-    joint.set_title(f"joint: {len(interface.area)} pairs" + closed * ", drawn without initial gaps")
+    gaps = [scene.laws_on(flank).initial_gap for flank in interface.flanks]
+    left_out = [name for name, some in (("initial gaps", max(gaps) > 0), ("interference", min(gaps) < 0)) if some]
+    without = f", drawn without {' and '.join(left_out)}" if left_out else ""
+    joint.set_title(f"joint: {len(interface.area)} pairs{without}")
     of_sector = ", or of the sector" if np.any(interface.is_next) else ""
     joint.plot([], [], color=INK, linewidth=1.2, label=f"outward normal of the {scene.contact.body_a}{of_sector}")
     figure.suptitle(scene.title or scene.geometry.source.stem)

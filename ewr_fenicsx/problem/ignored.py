@@ -16,9 +16,10 @@ ROUNDED_FORCE = 1e-9  # share of a given force's largest value, below which a pu
 def list_ignored(problem: ContactProblem) -> list[str]:
     """A line for each thing that does nothing."""
     lines = []
-    if not (problem.loads or problem.driven):
+    if not (problem.loads or problem.driven or np.any(problem.clearance < 0)):
         lines.append(
-            "nothing acts on the joint, neither a load nor a given force: give the model, or the problem, a load"
+            "nothing acts on the joint, neither a load, a given force nor an interference: give the model, or the "
+            "problem, a load"
         )
     for pairs, laws in problem.groups:
         if np.any(laws.initial_gap) and "initial_gap" not in list_parameters("normal", laws.normal):

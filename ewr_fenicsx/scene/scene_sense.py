@@ -59,7 +59,7 @@ def find_doubts(scene: Scene) -> Iterator[str]:
             "1 % of the final depth), and most are jumped over"
         )
     opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
-    if opening and not static_loads(scene):
+    if opening and not (static_loads(scene) or any(c.initial_gap < 0 for c in joint.values())):
         yield (
             f'{opening[0]}.normal = "{joint[opening[0]].normal}", and no load is static: nothing presses the joint '
             "together, and it gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"
@@ -224,7 +224,10 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
             "contact" if own and getattr(own, key) is None else where for key in ("initial_gap", "friction")
         )
         if abs(laws.initial_gap) > WIDEST and "initial_gap" in list_parameters("normal", laws.normal):
-            said[f"{gap}.initial_gap = {laws.initial_gap:g} m is no gap of a joint; was it given in mm or µm?"] = None
+            what = "gap" if laws.initial_gap > 0 else "interference"
+            said[f"{gap}.initial_gap = {laws.initial_gap:g} m is no {what} of a joint; was it given in mm or µm?"] = (
+                None
+            )
         if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
             said[
                 f"{friction}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given "

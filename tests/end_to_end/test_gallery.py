@@ -197,7 +197,7 @@ def test_bladed_disk(run):
     merit = solution["merit"]
     assert merit["friction_dissipation"] > 10 * merit["viscous_dissipation"] and abs(merit["energy_error"]) < 1e-5
     assert 1050.0 < summary["model"]["full_stick_frequencies_Hz"][0] < 1100.0
-    assert solution["cautions"] == [], "no deviation of any nodal diameters grows"
+    assert "stability is not known: no deviation grows much" in solution["cautions"][0]
     assert (folder / "ring.png").stat().st_size > 50_000 and (folder / "nodal_diameters.png").exists()
     waves = read_table(folder / "nodal_diameters.csv")
     assert [row["nodal_diameters"] for row in waves] == list(range(16))
@@ -230,7 +230,7 @@ def test_shrouded_ring(run):
     problem = pose_problem(scene, build_chain(scene).reduction.model)
     looser = solve(replace(problem, laws=replace(problem.laws, initial_gap=-2e-5)))
     assert summary["solution"]["fallbacks"] == [] and looser.fallbacks
-    assert looser.merit["rms_tip"] > 8 * summary["solution"]["merit"]["rms_tip"]
+    assert looser.merit["rms_tip"] > 100 * summary["solution"]["merit"]["rms_tip"]
 
 
 def test_the_page_shows_every_scene():

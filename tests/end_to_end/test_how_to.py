@@ -74,7 +74,7 @@ def test_a_sector_of_a_ring_moves_as_all_of_them_in_time(capsys):
     names: dict = {}
     exec(compile(RING, "docs/how_to.md", "exec"), names)
     solution, in_time = names["solution"], names["in_time"]
-    assert "stab" not in capsys.readouterr().out and solution.ring_growth.factor < 1.0
+    assert "no deviation grows much" in capsys.readouterr().out and solution.ring_growth.factor < 1.0
     assert solution.merit["friction_dissipation"] > 0.01
     assert in_time.converged and solution.estimated_error < 1e-3
     amplitudes = np.array([in_time.output(f"blade_{j}")[1] for j in range(12)])
@@ -92,7 +92,7 @@ def test_the_page_shows_the_rings_of_the_demos():
 def test_interference_is_enough_or_too_little(capsys):
     exec(compile(PRESSED, "docs/how_to.md", "exec"), {})
     enough, too_little = (float(line.split("by ")[1].split()[0]) for line in capsys.readouterr().out.splitlines())
-    assert too_little > 5 * enough > 0
+    assert too_little > 100 * enough > 0
 
 
 def test_a_solve_tells_what_it_is_about(caplog):

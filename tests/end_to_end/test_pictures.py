@@ -159,6 +159,7 @@ def test_forces_on_one_line_do_not_cover_each_other(drawn, tmp_path):
 
 def test_a_mesh_that_is_drawn_closed_says_so_where_the_scene_has_a_gap(drawn):
     assert drawn("tapping_rod")[1].get_title() == "joint: 5 pairs, drawn without initial gaps"
+    assert drawn("shrouded_ring")[1].get_title() == "joint: 8 pairs, drawn without interference"
     assert drawn("two_blocks")[1].get_title() == "joint: 9 pairs"
 
 

@@ -243,7 +243,7 @@ def test_all_contradictions_come_at_once(read):
         (SCENE + "[elasticity]\nthickness = 10", r"elasticity.thickness = 10 m; was 10e-3 \(mm\) meant"),
         (SCENE + "[contact]\ninitial_gap = 0.02", "contact.initial_gap = 0.02 m is no gap of a joint"),
         (SCENE + "[flanks.left]\ninitial_gap = 5", "flanks.left.initial_gap = 5 m is no gap of a joint"),
-        (SCENE + "[flanks.left]\ninitial_gap = -2", "flanks.left.initial_gap = -2 m is no gap of a joint"),
+        (SCENE + "[flanks.left]\ninitial_gap = -2", "flanks.left.initial_gap = -2 m is no interference of a joint"),
         (
             SCENE + "[wear]\ncoefficient = 1e-5",
             r"wear.coefficient = 1e-05 1/Pa .* was 1e-14 \(given in mm\^3/\(N m\)\) or 1e-11 \(given in 1/MPa",
@@ -263,6 +263,12 @@ def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expect
     with pytest.warns(SceneWarning, match=expected):
         scene = read(text, warn=True)
     assert len(scene.doubts) == 1
+
+
+def test_interference_of_a_flank_presses_the_joint(read):
+    own = "[flanks.left]\ninitial_gap = "
+    assert not any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "-1e-5").doubts)
+    assert any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "1e-5").doubts)
 
 
 def test_a_doubt_about_the_joint_is_told_once_and_where_it_stands(read):
