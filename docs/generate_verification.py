@@ -245,8 +245,7 @@ with the joint open. There is no time stepping among the ways to a solution.""",
         "",
         """Do motions in time leave the waves that are called perhaps unstable (`solution.ring_growth`), and no others?
 Small rings of five sectors, stepped for 60 periods from where the solution is; "leave" means that sectors come to
-differ by more than three per cent, and go on changing by as much. Few harmonics see little; many see how contact nodes
-chatter where motions stay, and are not quite periodic.""",
+differ by more than three per cent, and go on changing by as much.""",
         "",
         write_table(found["fates_header"], found["fates"]),
     ]
