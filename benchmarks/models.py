@@ -192,7 +192,9 @@ def find_first_mode(model: ReducedModel) -> float:
     return float(np.sqrt(scipy.linalg.eigh(stuck.stiffness, stuck.mass, eigvals_only=True)[0]) / 2 / np.pi)
 
 
-def damp(model: ReducedModel, ratio: float) -> ReducedModel:
-    """The model with Rayleigh damping: ``ratio`` at the first full-stick mode, half of it from the mass."""
-    omega = 2 * np.pi * find_first_mode(model)
-    return replace(model, damping=ratio * (omega * model.mass + model.stiffness / omega))
+def damp(model: ReducedModel, ratio: float, first: float | None = None) -> ReducedModel:
+    """The model with Rayleigh damping: ``ratio`` at ``first`` [Hz] or the first full-stick mode, half from the mass."""
+    omega = 2 * np.pi * (find_first_mode(model) if first is None else first)
+    drag = lambda part: ratio * (omega * part.mass + part.stiffness / omega)  # noqa: E731
+    ring = model.cyclic
+    return replace(model, damping=drag(model), cyclic=ring and replace(ring, damping=drag(ring)))

@@ -17,25 +17,35 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 from hard_cases import DIMENSIONS, HEADER, Case, Outcome, count_up, draw_levels, pose_on, run_case
-from models import ROOT, shake
+from models import ROOT, damp, shake
 from reporting import describe_machine, print_table, write_json
 
-from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, integrate, load_scene, solve
-from ewr_fenicsx import unroll_ring as unroll
+from ewr_fenicsx import (
+    ContactLaws,
+    ContactProblem,
+    PeriodicSolution,
+    ReducedModel,
+    integrate,
+    load_scene,
+    solve,
+    unroll_ring,
+)
 from ewr_fenicsx.in_time.ring_growth import leaves
 from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.model.receptance import find_undamped_modes
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
-sys.path.insert(0, str(ROOT / "tests" / "unit"))
+sys.path[:0] = [str(ROOT / "tests" / part) for part in ("unit", "verification")]
 
-from test_ring import ring, shroud
+from test_interference import start_elsewhere  # noqa: E402
+from test_ring import ring, shroud  # noqa: E402
 
 RINGS = ("bladed_disk", "damped_ring", "shrouded_ring")
 LEVELS = {name: levels for name, levels in DIMENSIONS.items() if name not in ("harmonics", "rho")} | {
@@ -51,25 +61,17 @@ def build(name: str) -> tuple[ReducedModel, float]:
     """The model of a sector, and the frequency that those of its cases are over [Hz]."""
     chain = build_chain(load_scene(ROOT / "demos" / f"{name}.toml"))
     problem, first = pose_problem(chain.scene, chain.reduction.model), float(chain.reduction.full_stick.frequency[0])
-    model = problem.model
     if np.any(problem.clearance):  # as the mean load that presses by as much
-        rows = np.vstack([model.normal, model.tangential])
-        pressed = np.linalg.lstsq(rows, np.append(-problem.clearance, np.zeros(len(model.tangential))), rcond=None)[0]
-        model = replace(model, load={**model.load, 0: -model.stiffness @ pressed})
-        open_joint = np.linalg.solve(
-            model.matrix("stiffness", model.wave_of(1)), model.matrix("mass", model.wave_of(1))
-        )
-        first = float(1 / np.sqrt(np.abs(np.linalg.eigvals(open_joint)).max()) / (2 * np.pi))
-    return model, first
+        problem, _ = start_elsewhere(problem, np.zeros(problem.model.pairs))
+        modes = find_undamped_modes(problem.model, problem.model.wave_of(1))
+        first = float(1 / np.sqrt((modes.mass / modes.stiffness).max()) / (2 * np.pi))
+    return problem.model, first
 
 
 def pose(case: Case) -> ContactProblem:
     """The contact problem of a case."""
     model, first = build(case.model)
-    omega, ratio = 2 * np.pi * first, case.damping
-    drag = lambda part: ratio * (omega * part.mass + part.stiffness / omega)  # noqa: E731
-    damped = replace(model, damping=drag(model), cyclic=replace(model.cyclic, damping=drag(model.cyclic)))
-    return pose_on(damped, first, case)
+    return pose_on(damp(model, case.damping, first), first, case)
 
 
 def step_all_sectors(solution: PeriodicSolution) -> tuple[float, float]:
@@ -78,9 +80,8 @@ def step_all_sectors(solution: PeriodicSolution) -> tuple[float, float]:
     cyclic, orders = problem.model.cyclic, np.array(solution.orders)[:, None]
     lag = 2 * np.pi * cyclic.engine_order / cyclic.sectors
     moved = np.hstack([solution.coordinates * np.exp(-1j * orders * lag * j) for j in range(cyclic.sectors)])
-    start = State(moved.real.sum(axis=0), (1j * orders * problem.omega * moved).real.sum(axis=0))
-    whole = ContactProblem(unroll(problem.model), problem.laws, problem.frequency, solution.orders[-1])
-    stepped = integrate(whole, start, STEPS, PERIODS, tolerance=0, theta=THETA)
+    whole = ContactProblem(unroll_ring(problem.model), problem.laws, problem.frequency, solution.orders[-1])
+    stepped = integrate(whole, State.of(whole, moved), STEPS, PERIODS, tolerance=0, theta=THETA)
     tips = [np.linalg.norm(stepped.output(f"tip_{j}")[1:]) for j in range(cyclic.sectors)]
     return float(np.ptp(tips) / np.mean(tips)), float(stepped.changes[-1])
 

@@ -129,6 +129,16 @@ def check_angle(name: str, value: float) -> None:
         raise ValueError(f"{name} = {value}: expected degrees from the x direction, 15 to 75")
 
 
+def check_sectors(sectors: int) -> None:
+    """Refuse fewer sectors than a ring of a builder is drawn with.
+
+    Raises:
+        ValueError: Names the parameter.
+    """
+    if sectors < 3:
+        raise ValueError(f"sectors = {sectors}: expected 3 or more")
+
+
 def check_pairs(pairs: int, flank: str = "flank") -> None:
     """Refuse fewer than two pairs on a flank of a builder, or on what it calls otherwise.
 

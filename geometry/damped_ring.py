@@ -21,7 +21,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import cos, pi, radians, sin, tan
 
-from blocks import Body, Point, check_angle, check_pairs, check_positive, mesh_bodies
+from blocks import Body, Point, check_angle, check_pairs, check_positive, check_sectors, mesh_bodies
 from outlines import count_cells
 
 
@@ -60,8 +60,7 @@ def build(
     check_positive(locals())
     check_angle("flank_angle", flank_angle)
     check_pairs(pairs)
-    if sectors < 3:
-        raise ValueError(f"sectors = {sectors}: expected 3 or more")
+    check_sectors(sectors)
     wide = wedge_width / 2
     narrow = wide - wedge_height / tan(radians(flank_angle))
     if narrow <= 0:

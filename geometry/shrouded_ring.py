@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from math import cos, hypot, pi, radians, sin
 
-from blocks import Body, Point, check_angle, check_pairs, check_positive, mesh_bodies
+from blocks import Body, Point, check_angle, check_pairs, check_positive, check_sectors, mesh_bodies
 from outlines import count_cells
 
 
@@ -50,8 +50,7 @@ def build(
     check_positive(locals())
     check_angle("face_angle", face_angle)
     check_pairs(pairs)
-    if sectors < 3:
-        raise ValueError(f"sectors = {sectors}: expected 3 or more")
+    check_sectors(sectors)
     half_angle, edge = pi / sectors, airfoil_thickness / 2
     root, under, over = hub_radius, hub_radius + airfoil_height, hub_radius + airfoil_height + shroud_thickness
     middle, reach = (under + over) / 2 / cos(half_angle), shroud_thickness / 2 / cos(radians(face_angle))

@@ -30,6 +30,10 @@ class Followed(NamedTuple):
         """p."""
         return self.mass.shape[-1]
 
+    def pick(self, waves: np.ndarray) -> Followed:
+        """Those of some waves, in turn."""
+        return Followed(*(each[waves] for each in self))
+
 
 def follow_modes(system: ContactSystem, reach: float) -> Followed:
     """The modes up to an angular frequency [rad/s], and those that damping holds up below it; or all coordinates.

@@ -91,7 +91,7 @@ def _look_along(system: ContactSystem, slopes: Slopes, modes: Followed, top: int
     """
     ring, omega = system.model.cyclic, system.compliance.omega
     waves = (np.arange(-top, top + 1) * ring.engine_order + offset) % ring.sectors
-    here, found = Followed(*(each[waves] for each in modes)), []
+    here, found = modes.pick(waves), []
     for place in ALONG:
         exponents, motions = Hill(system, slopes, (BESIDE + 1j * place) * omega, top, here).find_nearest(FEW)
         for exponent, motion in zip(exponents, motions, strict=True):

@@ -225,9 +225,8 @@ def _doubt_units(scene: Scene) -> Iterator[str]:
         )
         if abs(laws.initial_gap) > WIDEST and "initial_gap" in list_parameters("normal", laws.normal):
             what = "gap" if laws.initial_gap > 0 else "interference"
-            said[f"{gap}.initial_gap = {laws.initial_gap:g} m is no {what} of a joint; was it given in mm or µm?"] = (
-                None
-            )
+            doubt = f"{gap}.initial_gap = {laws.initial_gap:g} m is no {what} of a joint; was it given in mm or µm?"
+            said[doubt] = None
         if laws.tangential == "coulomb" and laws.friction > ROUGHEST:
             said[
                 f"{friction}.friction = {laws.friction:g} is that of no dry joint; was {laws.friction / 100:g} (given "

@@ -32,7 +32,7 @@ def start_elsewhere(problem: ContactProblem, gap: np.ndarray) -> tuple[ContactPr
     opened = gap - problem.clearance
     rows = np.vstack([model.normal, model.tangential])
     position = np.linalg.lstsq(rows, np.concatenate([opened, np.zeros(len(model.tangential))]), rcond=None)[0]
-    load = {**model.load, 0: model.load[0] - model.stiffness @ position}
+    load = {**model.load, 0: model.load.get(0, 0.0) - model.stiffness @ position}
     return replace(problem, model=replace(model, load=load), laws=replace(problem.laws, initial_gap=gap)), position
 
 
