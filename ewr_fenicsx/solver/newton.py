@@ -37,10 +37,10 @@ from ewr_fenicsx.solver.ladder import (
     trace_damping,
 )
 from ewr_fenicsx.solver.long_splitting import split_at_length
-from ewr_fenicsx.solver.newton_path import can_follow
+from ewr_fenicsx.solver.newton_path import can_follow, follow_from_afar
 from ewr_fenicsx.solver.snes import TIGHTEST, Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import are_projections
-from ewr_fenicsx.solver.warm_starts import go_on_from, guide
+from ewr_fenicsx.solver.warm_starts import go_on_from, guide, pick_first
 from ewr_fenicsx.solver.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
 
 LOG = logging.getLogger(__name__)  # INFO: which rung comes next, and why
@@ -74,14 +74,14 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
     harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``); from where a
-    few periods of time stepping end, and a long splitting leads from there, which in a ring of sectors begins at full
-    stick; along Newton's path while the oscillating load grows, with few samples a period first; laws with rounded
-    corners that are sharpened along their branch; damping traced from where little can bounce to the model's own;
-    rounded corners through more sets of harmonics, with the oscillating load traced from a small share to the whole,
-    past folds; and that tracing by itself. Weights of one's own that the first climb does not find, or that are far
-    from the default ones, are come to from a solution with these, which takes all these rungs and is the answer itself
-    where no way leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
-    (``newton_path.py``); each factorisation counts as a Newton step.
+    few periods of time stepping end, and a long splitting or Newton's path leads from there (in a ring of sectors a
+    long splitting from full stick); along Newton's path while the oscillating load grows, with few samples a period
+    first; laws with rounded corners that are sharpened along their branch; damping traced from where little can bounce
+    to the model's own; rounded corners through more sets of harmonics, with the oscillating load traced from a small
+    share to the whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find,
+    or that are far from the default ones, are come to from a solution with these, which takes all these rungs and is
+    the answer itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from
+    corner to corner (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -250,7 +250,8 @@ def start_from_time_stepping(
     """Newton from where some coarse periods of time stepping end, which find their way however hard the contact.
 
     A long splitting leads on from there. Else two starts are worth trying, unless they are far off: the forces
-    themselves, and a step of the laws linearised at forces and motions.
+    themselves, and a step of the laws linearised at forces and motions. Where Newton's method stalls, its path may
+    arrive: from there, or from the starts, however far off they are.
     """
     from ewr_fenicsx.solver.time_integration import integrate  # only for those whom Newton fails
 
@@ -288,6 +289,12 @@ def start_from_time_stepping(
         attempt = min(attempt, found)
         if found.residual < GROSS:
             break
+    if not (attempt.converged or attempt.walks):
+        stalled = [attempt.unknowns] if attempt is not best else []
+        begins = [*stalled, *(starts[i] for i in np.argsort(left))]
+        paths = (follow_from_afar(balance, begin, tolerance) for begin in begins)
+        if path := pick_first(path for path in paths if path is not None):
+            attempt, steps = min(path, attempt), steps + path.iterations
     change = np.median(steady.changes[-LAST_PERIODS:])  # an aperiodic motion comes close to itself by chance
     much = f"by {change:.0%}" if change < 1 else "altogether"  # what an extrapolation starts may be far off
     told = f"from period to period its motion still changes {much} after {steady.periods}"

@@ -34,6 +34,10 @@ RANK = 250  # corners after which the Jacobian is factored anew: by then they co
 SHORT = 100  # corners of a path at most that is tried on the way to a better start
 CORNERS, WORK = 2500, 10**6  # of a path at most, and times the unknowns: some seconds
 TRIED = 500  # corners after which a path is left that is not on its way: those that arrive mostly lie evenly on theirs
+# The same of a path from far off: it may be longer, as long as it is on its way, and looks for it longer.
+FAR_CORNERS, FAR_WORK, FAR_TRIED = 12000, 2 * 10**7, 1000
+LARGEST_FAR = 2000  # unknowns above which such a path takes too long, unless it begins next to a solution
+LAST_STEPS = 5  # Newton steps at the end of a path, which take away what rounding has left
 BEHIND, LOST = -1.0, 1e4  # where a path is left: its parameter, and the norm of the unknowns, which are of order one
 # Rate at which a corner is approached, over the largest one, below which it is not: rounding, as of pairs that are open
 IDLE = 1e-10
@@ -41,6 +45,7 @@ IDLE = 1e-10
 NEARLY = 1e-9
 CLOSE = 1e-3  # residual where Newton's method stalls, below which a solution is close
 SINGULAR = "the Newton matrix is singular"  # why a path ends
+ARRIVED = "rounding is left at the end of Newton's path"
 
 
 def run_and_follow(
@@ -82,7 +87,7 @@ def follow_path(
         tolerance: Residual norm accepted.
         most: Corners at most.
         loaded_less: The same under other loads, near whose solution it starts: on the way these grow to the balance's.
-        tried: Corners that it may take before it has to be on its way.
+        tried: Corners that it may take before it has to be on its way to arrive in ``most``, or in ``CORNERS``.
 
     Returns:
         The solution, or how far the path went; None where some law does not tell its corners.
@@ -94,9 +99,26 @@ def follow_path(
         why = path.follow(tolerance, most, tried)
     except np.linalg.LinAlgError:
         why = SINGULAR
-    found = run_newton(balance, path.unknowns, tolerance, "elimination", 0, near=True)  # looks whether it walks
+    last = LAST_STEPS if why == ARRIVED else 0
+    found = run_newton(balance, path.unknowns, tolerance, "elimination", last, near=True)  # looks whether it walks
     reason = found.reason if found.converged or found.walks else why
-    return replace(found, iterations=path.factored, reason=reason)
+    return replace(found, iterations=path.factored + found.iterations, reason=reason)
+
+
+def follow_from_afar(balance: HarmonicBalance, start: RealArray, tolerance: float) -> Attempt | None:
+    """Follow Newton's path from a start that need not be near a solution, as long as it is on its way.
+
+    Most such paths are not, and are left after a few factorisations.
+
+    Returns:
+        The solution, or how far the path went; None where some law does not tell its corners, where the balance is so
+        large that no path is followed from there, or where the start is nowhere.
+    """
+    if not np.linalg.norm(start) < LOST:
+        return None
+    if balance.size > LARGEST_FAR and not np.linalg.norm(balance.residual(start)) < CLOSE:
+        return None
+    return follow_path(balance, start, tolerance, limit_corners(balance, FAR_CORNERS, FAR_WORK), tried=FAR_TRIED)
 
 
 def can_follow(balance: HarmonicBalance) -> bool:
@@ -184,18 +206,17 @@ class _Path:
                 reach, number, corner = self._find_corner(at, rates)
                 arrives = sense > 0 and reach >= 1 - self.share
                 reach = 1 - self.share if arrives else reach
-                unknowns = self.unknowns + reach * ahead
-                if not np.linalg.norm(unknowns) < LOST:
+                if not (reach < np.inf and np.linalg.norm(self.unknowns + reach * ahead) < LOST):
                     return "Newton's path runs to infinity"
-                self.unknowns, self.share = unknowns, self.share + sense * reach
+                self.unknowns, self.share = self.unknowns + reach * ahead, self.share + sense * reach
                 for corners, rate in zip(at, rates, strict=True):
                     corners += reach * rate
                 if arrives or abs(1 - self.share) * left <= 0.5 * tolerance:
-                    return "rounding is left at the end of Newton's path"
+                    return ARRIVED
                 if self.share < BEHIND:
                     return "Newton's path leads away"
                 self.crossed += 1
-                if self.crossed >= min(most, max(tried, CORNERS * self.share)):
+                if self.crossed >= min(most, max(tried, max(most, CORNERS) * self.share)):
                     what = "load" if self.grows else "residual"
                     return f"Newton's path takes {self.share:.0%} of the {what} in {self.crossed} corners"
                 change = self._cross(number, corner)

@@ -2,7 +2,8 @@
 
 Weights far from the defaults cost Newton's method many steps, or it finds nothing. With the default ones it takes few.
 Weights in between then lead on, evenly spaced in their logarithms: a long splitting takes each solution to the next
-few weights at next to no Newton steps, and where it ends, the branch of solutions is traced.
+few weights at next to no Newton steps. Where it ends, Newton's path with the weights asked for leads on from corner to
+corner, or else the branch of solutions is traced.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.continuation import BalanceAt
 from ewr_fenicsx.solver.ladder import BEHIND, LARGEST_TRACED, follow
 from ewr_fenicsx.solver.long_splitting import split_at_length
-from ewr_fenicsx.solver.newton_path import SHORT, run_and_follow
+from ewr_fenicsx.solver.newton_path import SHORT, follow_from_afar, run_and_follow
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.warm_starts import WARM_STEPS, go_on_from
 
@@ -78,7 +79,7 @@ def adopt_weights(problem: ContactProblem, other: ContactProblem) -> ContactProb
 def approach_weights(
     balance: HarmonicBalance, usual: PeriodicSolution, tolerance: float, linear_solver: LinearSolver
 ) -> Attempt:
-    """Come to the weights of a balance from the default ones: at once, by splittings in stages, or along the branch.
+    """Come to the weights of a balance from the default ones: at once, by splittings in stages, or along a path.
 
     Args:
         balance: The balance to solve.
@@ -108,6 +109,8 @@ def approach_weights(
     if share == 0.0 and last is None:  # as with laws that are no projections
         last = go_on_from(usual, balance, tolerance, linear_solver)
         steps += last.iterations
+    if joined and not (last and last.converged) and (path := follow_from_afar(balance, begin, tolerance)):
+        last, steps = path, steps + path.iterations
     if joined and not (last and last.converged) and balance.size <= LARGEST_TRACED:
         last = walk_weights(balance, at, [(share, here), (0.0, begin)], tolerance)
         steps += last.iterations

@@ -248,7 +248,7 @@ def test_where_nothing_leads_to_weights_far_off_the_default_ones_take_their_plac
     case = hard_cases.Case("dovetail", 0.85, ("reached", 1.0), 0.2, 5, 0.02, "closed", (1e-3, 1e-3))
     problem = hard_cases.pose_case(case)
     lost = lambda *_: Attempt(np.zeros(0), np.inf, 0, "as if", False)  # noqa: E731
-    for way in ("split_at_length", "walk_weights"):
+    for way in ("split_at_length", "follow_from_afar", "walk_weights"):
         monkeypatch.setattr(weights, way, lost)
     solution = solve(problem)
     assert "from the default weights and dashpots: solved with these only: as if" in solution.summary()
@@ -289,12 +289,33 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so(monkeypatch):
     balance = HarmonicBalance(problem.system)
     start = newton.begin_at_full_stick(balance)
     monkeypatch.setattr(newton, "split_at_length", lambda *_: None)
+    monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
     monkeypatch.setattr(newton, "run_newton", lambda _, unknowns, *given: Attempt(unknowns, 0.1, 1, "as if", False))
     told = " (from period to period its motion still changes "
     for astray, reason, steps in ((np.inf, "as if", 3), (newton.ASTRAY, start.reason, 1)):  # the starts are far off
         monkeypatch.setattr(newton, "ASTRAY", astray)
         attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
         assert attempt.reason.startswith(reason + told) and attempt.iterations == steps
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        hard_cases.Case("blade root", 0.85, ("reached", 1.0), 1.5, 3, 0.02, "even", (1, 1)),  # from where Newton stalls
+        hard_cases.Case("lap joint", 0.95, ("reached", 1.0), 1.5, 3, 1e-3, "closed", (1, 1)),  # from a start itself
+    ],
+    ids=lambda case: case.model,
+)
+def test_from_time_stepping_a_path_arrives_where_newton_stalls(case, monkeypatch):
+    """Rungs that take hundreds of steps had to find these; a path is longer than next to a solution, but on its way."""
+    problem = hard_cases.pose_case(case)
+    balance = HarmonicBalance(problem.system)
+    begin = (problem, balance, 1e-8, "elimination", newton.begin_at_full_stick(balance))
+    found = newton.start_from_time_stepping(*begin)
+    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+    monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
+    stalled = newton.start_from_time_stepping(*begin)
+    assert not stalled.converged and stalled.iterations < found.iterations <= stalled.iterations + 15
 
 
 def test_a_run_that_creeps_far_off_is_given_up():

@@ -20,8 +20,17 @@ from ewr_fenicsx.laws.smoothing import round_corners
 from ewr_fenicsx.laws.unilateral import Signorini
 from ewr_fenicsx.solver import newton_path
 from ewr_fenicsx.solver.growing_load import load_by_share
-from ewr_fenicsx.solver.newton_path import SHORT, RankOneUpdates, can_follow, follow_path, limit_corners, run_and_follow
+from ewr_fenicsx.solver.newton_path import (
+    SHORT,
+    RankOneUpdates,
+    can_follow,
+    follow_from_afar,
+    follow_path,
+    limit_corners,
+    run_and_follow,
+)
 from ewr_fenicsx.solver.snes import run_newton
+from ewr_fenicsx.solver.weights import use_default_weights
 
 LAWS = {
     "contact": ContactLaws(tangential="frictionless"),
@@ -185,23 +194,60 @@ def test_what_rounding_adds_up_to_does_not_stay(balance):
 
 
 def find_stalled(case: hard_cases.Case, steps: int):
-    """A balance with weights far off, and where Newton's method stalls from the solution with the default ones."""
-    from ewr_fenicsx.solver.weights import use_default_weights
-
+    """A balance with weights far off, the solution with the default ones, and where Newton's method stalls from it."""
     problem = hard_cases.pose_case(case)
     usual, balance = solve(use_default_weights(problem)), HarmonicBalance(problem.system)
-    stalled = run_newton(balance, balance.pack(usual.forces, usual.rigid), 1e-8, "elimination", steps, near=True)
+    begin = balance.pack(usual.forces, usual.rigid)
+    stalled = run_newton(balance, begin, 1e-8, "elimination", steps, near=True)
     assert not stalled.converged
-    return balance, stalled
+    return balance, begin, stalled
 
 
 def test_it_arrives_where_newton_stalls():
     """With a line search: 24 steps to a residual of 2e-5. Over some corners: a factorisation."""
     case = hard_cases.Case("dovetail", 2.0, ("reached", 3.0), 0.01, 15, 1e-3, "closed", (1, 1e-3))
-    balance, stalled = find_stalled(case, 12)
+    balance, _, stalled = find_stalled(case, 12)
     found = follow_path(balance, stalled.unknowns, 1e-8, SHORT)
     assert found.converged and found.iterations <= 2
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+
+
+def test_it_arrives_from_afar():
+    """Where what Newton's method has to go through is no descent: a thousand corners in four factorisations."""
+    case = hard_cases.Case("lap joint", 1.05, ("applied", 0.3), 1.5, 9, 0.02, "random", (1e-3, 1e-3))
+    balance, begin, _ = find_stalled(case, 40)
+    assert np.linalg.norm(balance.residual(begin)) > newton_path.CLOSE
+    found = follow_from_afar(balance, begin, 1e-8)
+    assert found.converged and found.iterations <= 8
+    assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+
+
+def test_a_path_from_afar_is_left_where_it_is_not_on_its_way():
+    case = hard_cases.Case("blade root", 0.7, ("reached", 1.0), 0.6, 3, 0.005, "closed", (1e-3, 1e-3))
+    balance, begin, _ = find_stalled(case, 2)
+    left = follow_from_afar(balance, begin, 1e-8)
+    assert not left.converged and left.reason.endswith(f"of the residual in {newton_path.FAR_TRIED} corners")
+
+
+def test_no_path_begins_nowhere_or_far_off_in_large_joints(balance, monkeypatch):
+    start = balance.pack(*balance.full_stick)
+    assert follow_from_afar(balance, np.full(balance.size, np.nan), 1e-9) is None
+    assert follow_from_afar(balance, 1e9 * start, 1e-9) is None
+    monkeypatch.setattr(newton_path, "LARGEST_FAR", balance.size - 1)
+    assert follow_from_afar(balance, start, 1e-9) is None
+    monkeypatch.setattr(newton_path, "CLOSE", np.inf)  # next to a solution
+    assert follow_from_afar(balance, start, 1e-9).iterations > 0
+
+
+@pytest.mark.parametrize("why", [newton_path.ARRIVED, newton_path.SINGULAR])
+def test_rounding_at_the_end_of_a_path_is_taken_away(balance, monkeypatch, why):
+    """A path of many corners ended at a residual of 3e-8, and counted for nothing. Elsewhere no run is begun."""
+    exact = run_newton(balance, balance.pack(*balance.full_stick), 1e-12, "elimination")
+    assert exact.converged
+    off = exact.unknowns + 1e-7 * np.random.default_rng(3).normal(size=balance.size)
+    monkeypatch.setattr(newton_path._Path, "follow", lambda path, *_: setattr(path, "unknowns", off) or why)
+    found = follow_path(balance, exact.unknowns, 1e-10, SHORT)
+    assert found.converged == (why == newton_path.ARRIVED) == (found.iterations > 0)
 
 
 def test_it_turns_at_folds(balance):

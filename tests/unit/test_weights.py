@@ -1,4 +1,4 @@
-"""Weights of one's own, come to from the default ones: by splittings in stages, then along the branch."""
+"""Weights of one's own, come to from the default ones: by splittings in stages, then along a path or the branch."""
 
 from __future__ import annotations
 
@@ -31,6 +31,12 @@ def indirect(monkeypatch):
 def no_path(monkeypatch):
     """Laws that do not tell their corners."""
     monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
+
+
+@pytest.fixture
+def not_from_afar(monkeypatch):
+    """No path that begins at the default weights."""
+    monkeypatch.setattr(weights, "follow_from_afar", lambda *_: None)
 
 
 def approach(far) -> Attempt:
@@ -106,7 +112,9 @@ def test_large_joints_take_one_stage(far, indirect, monkeypatch):
 
 
 @pytest.mark.parametrize(("lost", "begins"), [(False, 2 / 3), (True, 0.0)])
-def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far, indirect, monkeypatch, lost, begins):
+def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(
+    far, indirect, not_from_afar, monkeypatch, lost, begins
+):
     balance, begun = far[0], []
     split, follow, run = weights.split_at_length, weights.follow, weights.run_newton
     monkeypatch.setattr(
@@ -125,6 +133,16 @@ def test_a_walk_begins_where_splittings_end_and_else_at_the_default_weights(far,
     found = approach(far)
     assert begun == [f"of the way from {begins:.0%} to the asked weights"]
     assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+
+
+def test_a_path_arrives_where_splittings_end_and_a_walk_is_lost(monkeypatch):
+    """It took 210 steps, which ended with the default weights as the answer; a thousand corners lead to those asked."""
+    case = hard_cases.Case("lap joint", 1.05, ("applied", 0.3), 1.5, 9, 0.02, "random", (1e-3, 1e-3))
+    problem = hard_cases.pose_case(case)
+    monkeypatch.setattr(weights, "walk_weights", lambda *_: pytest.fail("no walk is needed"))
+    solution = solve(problem)
+    assert solution.problem is problem and hard_cases.judge(solution)[0] == "converged"
+    assert solution.iterations <= 60
 
 
 def test_weights_on_the_way_are_even_in_their_logarithms(far):
