@@ -1,15 +1,18 @@
-"""Growing sets of harmonics, or of samples: what is found with few starts a solve, or a splitting, with more."""
+"""Other sets of harmonics, or of samples: what is found with few starts a solve, or a splitting, with more."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import count, takewhile
+from math import ceil
 
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import round_up
 from ewr_fenicsx.solver.splitting import Splitting, come_near, resample
 
@@ -27,6 +30,14 @@ def grow_sets(balance: HarmonicBalance, levels: tuple[int, ...]) -> Iterator[Har
         if fewer and fewer != (0,):
             yield HarmonicBalance(system.restrict(fewer), balance.force_unit)
     yield balance
+
+
+def add_harmonics(problem: ContactProblem, times: float) -> ContactProblem:
+    """The problem with harmonics up to so many times the highest one, as far apart as its last two are."""
+    orders = problem.basis.orders
+    stride = orders[-1] - orders[-2] if len(orders) > 1 else 1
+    more = range(orders[-1] + stride, ceil(times * orders[-1]) + 1, stride)
+    return replace(problem, harmonics=(*orders, *more), samples=None)
 
 
 def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: HarmonicBalance):

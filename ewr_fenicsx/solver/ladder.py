@@ -5,8 +5,9 @@ are all the Newton steps that the way took:
 
 1. ``start_from_splitting``: Newton from where operator splitting ends.
 2. ``climb``: growing sets of harmonics, each started at the one before.
-3. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
-4. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
+3. ``come_down``: from more harmonics to fewer.
+4. ``sharpen_corners``: laws with rounded corners, sharpened along the branch of their solutions.
+5. ``trace_damping``: damping from where little can bounce to the model's own, past folds.
 
 ``growing_load.py`` has two more, by which the oscillating load grows. Where Newton's method stalls next to a solution,
 ``newton_path.py`` goes on over corners. ``start_cold`` is the first, or else the second; ``at_rest.py`` begins both
@@ -149,6 +150,51 @@ def climb(
         attempt = replace(attempt, unknowns=unknowns, residual=float(np.linalg.norm(balance.residual(unknowns))))
     if not attempt.converged and solved:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {solved} were solved for")
+    return replace(attempt, iterations=steps)
+
+
+def come_down(
+    balance: HarmonicBalance, above: HarmonicBalance, found: Attempt, tolerance: float, linear_solver: LinearSolver
+) -> Attempt:
+    """From a solution with more harmonics to that of a balance: at once by a long splitting, or dropped one by one.
+
+    Where bodies bounce, solutions with few harmonics may have little to do with the motion, and time stepping leads to
+    none of them, but to one with more.
+
+    Args:
+        balance: The balance to solve.
+        above: The same with higher harmonics as well.
+        found: A solution of ``above``.
+        tolerance, linear_solver: As in ``solve``.
+
+    Returns:
+        The solution, or the last attempt; with all Newton steps.
+    """
+    forces, rigid = above.unpack(found.unknowns)
+    motion = above.compliance.motion(forces, rigid)
+    few, many = len(balance.basis.orders), len(above.basis.orders)
+    at_once = split_at_length(balance, forces[:few], motion[:few], tolerance, linear_solver)
+    if at_once is not None and at_once.converged:
+        return at_once
+    steps = at_once.iterations if at_once else 0
+    for kept in range(many - 1, few - 1, -1):
+        level, goal = balance, tolerance
+        if kept > few:
+            fewer = above.system.restrict(above.basis.orders[:kept])
+            level, goal = HarmonicBalance(fewer, balance.force_unit), max(tolerance, COARSE_TOLERANCE)
+        start = level.pack(forces[:kept], rigid)
+        attempt = run_and_follow(level, start, goal, linear_solver, COARSE_STEPS, near=True)
+        steps += attempt.iterations
+        if not attempt.converged:
+            split = split_at_length(level, forces[:kept], motion[:kept], goal, linear_solver)
+            attempt, steps = (min(attempt, split), steps + split.iterations) if split else (attempt, steps)
+        if not attempt.converged:
+            break
+        forces, rigid = level.unpack(attempt.unknowns)
+        motion = level.compliance.motion(forces, rigid)
+    if level is not balance:
+        told = f"a solution with harmonics up to {above.basis.orders[kept]} led to none up to {level.basis.orders[-1]}"
+        attempt = replace(begin_at_full_stick(balance), reason=told)
     return replace(attempt, iterations=steps)
 
 

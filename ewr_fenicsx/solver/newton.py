@@ -6,21 +6,24 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.solution.remedies import list_remedies
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.solver.at_rest import hangs_in_plane, start_at_rest
 from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
 from ewr_fenicsx.solver.growing_load import grow_load, trace_load
+from ewr_fenicsx.solver.growing_sets import add_harmonics
 from ewr_fenicsx.solver.ladder import (
     COARSE_LEVELS,
     COARSE_TOLERANCE,
@@ -32,6 +35,7 @@ from ewr_fenicsx.solver.ladder import (
     SPRING_TOLERANCE,
     begin_at_full_stick,
     climb,
+    come_down,
     sharpen_corners,
     start_cold,
     trace_damping,
@@ -43,6 +47,9 @@ from ewr_fenicsx.solver.splitting import are_projections
 from ewr_fenicsx.solver.warm_starts import go_on_from, guide, pick_first
 from ewr_fenicsx.solver.weights import approach_weights, has_far_weights, has_own_weights, use_default_weights
 
+if TYPE_CHECKING:
+    from ewr_fenicsx.solver.time_integration import SteadyState
+
 LOG = logging.getLogger(__name__)  # INFO: which rung comes next, and why
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
@@ -52,9 +59,9 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
 # Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
 APERIODIC, LAST_PERIODS = 0.1, 10
+# How many times more harmonics are tried where so few find no solution, and unknowns up to which they are
+MORE_HARMONICS, LARGEST_FEW = 2, 3000
 LOOSEST = 1e-3  # tolerance above which even a start may pass for a solution
-# Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
-COARSE, ROUNDING = 1e-10, 10.0
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
 ASTRAY = 0.3  # residual of a start from which hardly any run arrives where no long splitting has led on
@@ -76,9 +83,10 @@ def solve(
     harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``); from where a
     few periods of time stepping end, and a long splitting or Newton's path leads from there (in a ring of sectors a
     long splitting from full stick); along Newton's path while the oscillating load grows, with few samples a period
-    first; laws with rounded corners that are sharpened along their branch; damping traced from where little can bounce
-    to the model's own; rounded corners through more sets of harmonics, with the oscillating load traced from a small
-    share to the whole, past folds; and that tracing by itself. Weights of one's own that the first climb does not find,
+    first; from time stepping with twice as many harmonics, and down to those asked for; laws with rounded corners that
+    are sharpened along their branch; damping traced from where little can bounce to the model's own; rounded corners
+    through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and
+    that tracing by itself. Weights of one's own that the first climb does not find,
     or that are far from the default ones, are come to from a solution with these, which takes all these rungs and is
     the answer itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from
     corner to corner (``newton_path.py``); each factorisation counts as a Newton step.
@@ -197,6 +205,9 @@ def list_rungs(
         yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
+    if balance.basis.orders[-1] and not problem.model.cyclic and balance.size <= LARGEST_FEW:
+        more = (problem, balance, tolerance, linear_solver)
+        yield "more harmonics, then fewer", lambda best: start_from_more_harmonics(*more, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     if problem.frequency and balance.size <= LARGEST_DAMPED:
@@ -207,37 +218,25 @@ def list_rungs(
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 
 
-def list_remedies(best: PeriodicSolution) -> str:
-    """What a user may try where every way failed, and left this."""
-    problem, residual = best.problem, best.residual
-    left = estimate_rounding(problem)
-    if left > COARSE and residual < ROUNDING * left:
-        return (
-            f". At {problem.frequency:g} Hz floating bodies move by far more than they deform, and rounding alone "
-            f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
-            "this; or allow a larger tolerance"
-        )
-    own = ", ".join(problem.own_kinds)
-    if own and not np.isfinite(residual):
-        return f". Laws return infinities or NaN: look at {own}"
-    if hit := best.list_hit_modes():
-        return f". {hit[0].capitalize()}"
-    stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
-    last = f"{stepped} shows whether the motion becomes periodic at all"
-    if own:
-        last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
-    return (
-        ". Try fewer harmonics or more, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
-        f"more damping; {last}"
+@lru_cache(maxsize=1)
+def step_coarsely(problem: ContactProblem) -> SteadyState:
+    """Where some periods of time stepping end, coarse and damped; kept for the next rung.
+
+    Raises:
+        ModelError, ImportError: As ``integrate``.
+    """
+    from ewr_fenicsx.solver.time_integration import integrate  # only for those whom Newton fails
+
+    return integrate(
+        problem,
+        steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(problem.basis.orders)),
+        periods=TIME_PERIODS,
+        tolerance=TIME_TOLERANCE,
+        theta=TIME_DAMPING,
+        contact_tolerance=TIME_CONTACT,
+        sweeps=TIME_SWEEPS,
+        acceleration=True,
     )
-
-
-def estimate_rounding(problem: ContactProblem) -> float:
-    """Residual that the rounding of forces leaves, by the motion that they cause over the deformation that counts."""
-    if problem.model.rigid_modes.shape[1] == 0 or problem.frequency == 0:
-        return 0.0
-    moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
-    return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
 
 
 def start_from_time_stepping(
@@ -252,23 +251,14 @@ def start_from_time_stepping(
     A long splitting leads on from there. Else two starts are worth trying, unless they are far off: the forces
     themselves, and a step of the laws linearised at forces and motions. Where Newton's method stalls, its path may
     arrive: from there, or from the starts, however far off they are.
-    """
-    from ewr_fenicsx.solver.time_integration import integrate  # only for those whom Newton fails
 
+    ``balance``: that of the problem, or of the same with more harmonics.
+    """
     try:
-        steady = integrate(
-            problem,
-            steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(balance.basis.orders)),
-            periods=TIME_PERIODS,
-            tolerance=TIME_TOLERANCE,
-            theta=TIME_DAMPING,
-            contact_tolerance=TIME_CONTACT,
-            sweeps=TIME_SWEEPS,
-            acceleration=True,
-        )
+        steady = step_coarsely(problem)
     except (ModelError, ImportError) as refusal:
         return replace(best, iterations=0, reason=str(refusal).removesuffix("; use solve"))
-    forces, motion = steady.contact_amplitudes
+    forces, motion = steady.scheme.contact_amplitudes(steady.last, balance.basis.orders)
     if not np.all(np.isfinite(forces)):
         return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")
     attempt, steps = best, 0
@@ -300,6 +290,19 @@ def start_from_time_stepping(
     told = f"from period to period its motion still changes {much} after {steady.periods}"
     doubtful = not steady.converged and change > APERIODIC
     return replace(attempt, iterations=steps, reason=f"{attempt.reason} ({told})" if doubtful else attempt.reason)
+
+
+def start_from_more_harmonics(
+    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver, best: Attempt
+) -> Attempt:
+    """From where time stepping leads with more harmonics, down to those of the problem."""
+    above = HarmonicBalance(add_harmonics(problem, MORE_HARMONICS).system)
+    found = start_from_time_stepping(problem, above, tolerance, linear_solver, begin_at_full_stick(above))
+    if not found.converged:
+        reason = f"harmonics up to {above.basis.orders[-1]}: {found.reason}"
+        return replace(best, iterations=found.iterations, reason=reason)
+    attempt = come_down(balance, above, found, tolerance, linear_solver)
+    return replace(attempt, iterations=found.iterations + attempt.iterations)
 
 
 def split_from_full_stick(

@@ -183,7 +183,8 @@ def test_the_load_grows_over_corners(case):
     assert found.converged and found.iterations <= 45 and "grown from corner to corner" in found.reason
     assert np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
     rungs = [name for name, _ in newton.list_rungs(problem, balance, None, 1e-8, "elimination")]
-    assert rungs[1:4] == ["time stepping", "load grown over corners", "rounded corners"]
+    assert rungs[1:4] == ["time stepping", "load grown over corners", "more harmonics, then fewer"]
+    assert rungs[4] == "rounded corners"
 
 
 def test_a_path_past_matrices_that_are_all_but_singular_stays_on_its_way():
@@ -316,6 +317,24 @@ def test_from_time_stepping_a_path_arrives_where_newton_stalls(case, monkeypatch
     monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
     stalled = newton.start_from_time_stepping(*begin)
     assert not stalled.converged and stalled.iterations < found.iterations <= stalled.iterations + 15
+
+
+def test_a_solution_with_more_harmonics_leads_to_one_with_fewer(monkeypatch):
+    """A flank bounces: time stepping leads to no solution with nine harmonics, but to one with eighteen."""
+    case = hard_cases.Case("blade root", 0.7, ("reached", 1.0), 0.6, 9, 0.02, "half open", (1, 1))
+    problem = hard_cases.pose_case(case)
+    balance, rung = HarmonicBalance(problem.system), "more harmonics, then fewer"
+    stepped = []
+    integrate = time_integration.integrate
+    monkeypatch.setattr(time_integration, "integrate", lambda *a, **k: stepped.append(a[0]) or integrate(*a, **k))
+    begin = ladder.begin_at_full_stick(balance)
+    ways = dict(newton.list_rungs(problem, balance, None, 1e-8, "elimination"))
+    assert not ways["time stepping"](begin).converged
+    found = ways[rung](begin)
+    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+    assert stepped == [problem], "both rungs go by the same motion"
+    large = replace(problem, harmonics=1 + newton.LARGEST_FEW // (2 * balance.rows))
+    assert rung not in dict(newton.list_rungs(large, HarmonicBalance(large.system), None, 1e-8, "elimination"))
 
 
 def test_a_run_that_creeps_far_off_is_given_up():

@@ -11,6 +11,8 @@ from small_models import dovetail
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.solver import ladder
+from ewr_fenicsx.solver.growing_sets import add_harmonics
+from ewr_fenicsx.solver.snes import Attempt, run_newton
 
 
 @pytest.fixture
@@ -79,3 +81,60 @@ def test_bodies_that_never_touch_take_no_step(gap, closure):
     solution = solve(ContactProblem(model, laws, 150.0, closure=closure))
     assert solution.iterations == 0 and not solution.fallbacks and not np.any(solution.forces)
     assert solution.history("gap", 64).min() > 0.5 * gap
+
+
+@pytest.mark.parametrize(
+    ("kept", "more"),
+    [
+        (3, (0, 1, 2, 3, 4, 5, 6)),
+        ((1, 3, 5), (1, 3, 5, 7, 9)),  # as symmetry leaves them
+        (1, (0, 1, 2)),
+        ((0, 1, 4), (0, 1, 4, 7)),
+    ],
+)
+def test_harmonics_are_added_as_far_apart_as_the_last_two(kept, more):
+    mass = ReducedModel(
+        mass=[[1.0]], damping=[[1.0]], stiffness=[[1e4]], tangential=[[1.0]], load={1: [1.0]}, outputs={"mass": [1.0]}
+    )
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
+    few = ContactProblem(mass, laws, 30.0, kept, samples=64, closure="dashpot")
+    many = add_harmonics(few, 2)
+    assert many.basis.orders == more and few.system.laws[-1].rho == pytest.approx(many.system.laws[-1].rho)
+
+
+@pytest.fixture(scope="module")
+def sets():
+    """A balance, the same with more harmonics, and the solution with these."""
+    problem = ContactProblem(dovetail(), ContactLaws(friction=0.3), 30.0, 3)
+    above = HarmonicBalance(add_harmonics(problem, 2).system)
+    found = run_newton(above, above.pack(*above.full_stick), 1e-9, "elimination")
+    assert found.converged
+    return HarmonicBalance(problem.system), above, found
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_it_comes_down_to_fewer_harmonics(sets, at_once, monkeypatch):
+    balance, above, found = sets
+    seen, run = [], ladder.run_and_follow
+    monkeypatch.setattr(ladder, "run_and_follow", lambda b, *a, **k: seen.append(b.basis.orders[-1]) or run(b, *a, **k))
+    if not at_once:
+        monkeypatch.setattr(ladder, "split_at_length", lambda *_: None)
+    down = ladder.come_down(balance, above, found, 1e-9, "elimination")
+    assert down.converged and np.linalg.norm(balance.residual(down.unknowns)) <= 1e-9
+    assert seen == ([] if at_once else [5, 4, 3])
+    cold = run_newton(balance, balance.pack(*balance.full_stick), 1e-9, "elimination")
+    np.testing.assert_allclose(down.unknowns, cold.unknowns, rtol=0, atol=1e-6)
+
+
+def test_it_says_down_to_where_it_came(sets, monkeypatch):
+    balance, above, found = sets
+    run = ladder.run_and_follow
+    lost = lambda b, start, *_, **__: Attempt(start, 0.1, 7, "as if", False)  # noqa: E731
+    monkeypatch.setattr(ladder, "split_at_length", lambda *_: None)
+    monkeypatch.setattr(
+        ladder, "run_and_follow", lambda b, *a, **k: (run if b.basis.orders[-1] > 4 else lost)(b, *a, **k)
+    )
+    down = ladder.come_down(balance, above, found, 1e-9, "elimination")
+    assert not down.converged and down.iterations >= 7
+    assert down.reason == "a solution with harmonics up to 5 led to none up to 4"
+    assert down.residual == pytest.approx(np.linalg.norm(balance.residual(down.unknowns)))

@@ -23,8 +23,8 @@ from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.scene.scene import Solver
+from ewr_fenicsx.solution.remedies import estimate_rounding
 from ewr_fenicsx.solver import ladder, newton, snes
-from ewr_fenicsx.solver.newton import estimate_rounding
 from ewr_fenicsx.solver.snes import run_newton
 
 

@@ -33,7 +33,9 @@ ORDER = {
         "time_stepping", "periodicity", "followed_modes", "deviations", "hill", "floquet", "ring_growth", "stability",
         "walking",
     ],
-    "solution": ["loading_history", "indicators", "periodic_motion", "solution", "contact_state", "symmetry"],
+    "solution": [
+        "loading_history", "indicators", "periodic_motion", "solution", "remedies", "contact_state", "symmetry",
+    ],
     "solver": [
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
         "at_rest", "initial_states", "time_integration", "growing_load", "faint_forces", "weights", "newton",

@@ -1,0 +1,44 @@
+"""What a user may try where no periodic solution was found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ewr_fenicsx.problem.contact_problem import ContactProblem
+from ewr_fenicsx.solution.solution import PeriodicSolution
+
+# Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
+COARSE, ROUNDING = 1e-10, 10.0
+
+
+def list_remedies(best: PeriodicSolution) -> str:
+    """What a user may try where every way failed, and left this."""
+    problem, residual = best.problem, best.residual
+    left = estimate_rounding(problem)
+    if left > COARSE and residual < ROUNDING * left:
+        return (
+            f". At {problem.frequency:g} Hz floating bodies move by far more than they deform, and rounding alone "
+            f"leaves a residual of {left:.0e}. Raise the frequency: well below the first mode it changes nothing but "
+            "this; or allow a larger tolerance"
+        )
+    own = ", ".join(problem.own_kinds)
+    if own and not np.isfinite(residual):
+        return f". Laws return infinities or NaN: look at {own}"
+    if hit := best.list_hit_modes():
+        return f". {hit[0].capitalize()}"
+    stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
+    last = f"{stepped} shows whether the motion becomes periodic at all"
+    if own:
+        last = f"look at the derivatives of {own}, and at its corners (rounded): docs/adding_a_law.md"
+    return (
+        ". Try fewer harmonics or more, a neighbouring solution as start= (in a scene: a sweep that ends here), or "
+        f"more damping; {last}"
+    )
+
+
+def estimate_rounding(problem: ContactProblem) -> float:
+    """Residual that the rounding of forces leaves, by the motion that they cause over the deformation that counts."""
+    if problem.model.rigid_modes.shape[1] == 0 or problem.frequency == 0:
+        return 0.0
+    moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
+    return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
