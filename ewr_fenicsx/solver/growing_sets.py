@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import count, takewhile
-from math import ceil
 
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
-from ewr_fenicsx.problem.harmonics import round_up
+from ewr_fenicsx.problem.harmonics import round_up, select_basis
 from ewr_fenicsx.solver.splitting import Splitting, come_near, resample
 
 SPLIT_LEVELS = (5, 15, 31)  # highest harmonics of the sets that a splitting goes through
@@ -32,12 +31,22 @@ def grow_sets(balance: HarmonicBalance, levels: tuple[int, ...]) -> Iterator[Har
     yield balance
 
 
-def add_harmonics(problem: ContactProblem, times: float) -> ContactProblem:
-    """The problem with harmonics up to so many times the highest one, as far apart as its last two are."""
+def add_harmonics(problem: ContactProblem, times: int) -> ContactProblem:
+    """The problem with harmonics up to so many times the highest one, and dashpots for those left out.
+
+    They are as far apart as its last two; where one is all that symmetry has left, odd.
+
+    Raises:
+        ModelError: The problem has none of such harmonics.
+    """
     orders = problem.basis.orders
-    stride = orders[-1] - orders[-2] if len(orders) > 1 else 1
-    more = range(orders[-1] + stride, ceil(times * orders[-1]) + 1, stride)
-    return replace(problem, harmonics=(*orders, *more), samples=None)
+    stride = 1 if isinstance(problem.harmonics, (int, np.integer)) else 2
+    if len(orders) > 1 and orders[-2] > 0:
+        stride = orders[-1] - orders[-2]
+    top = max(times * orders[-1], orders[-1] + stride)
+    more = (*orders, *range(orders[-1] + stride, top + 1, stride))
+    samples = max(problem.basis.samples, select_basis(more).samples)
+    return replace(problem, harmonics=more, samples=samples, closure="dashpot")
 
 
 def embed(found: tuple[ComplexArray, RealArray], below: HarmonicBalance, level: HarmonicBalance):

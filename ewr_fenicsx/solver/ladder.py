@@ -1,7 +1,7 @@
 """The ladder: cold starts, and the ways to a solution that Newton's method does not find by itself.
 
-Each function is one way from the full-stick solution to that of a balance, and returns an ``Attempt`` whose iterations
-are all the Newton steps that the way took:
+Each function is one way to the solution of a balance, mostly from full stick, and returns an ``Attempt`` whose
+iterations are all the Newton steps that the way took:
 
 1. ``start_from_splitting``: Newton from where operator splitting ends.
 2. ``climb``: growing sets of harmonics, each started at the one before.
@@ -174,7 +174,7 @@ def come_down(
     motion = above.compliance.motion(forces, rigid)
     few, many = len(balance.basis.orders), len(above.basis.orders)
     at_once = split_at_length(balance, forces[:few], motion[:few], tolerance, linear_solver)
-    if at_once is not None and at_once.converged:
+    if at_once is not None and (at_once.converged or at_once.walks):
         return at_once
     steps = at_once.iterations if at_once else 0
     for kept in range(many - 1, few - 1, -1):
@@ -187,14 +187,18 @@ def come_down(
         steps += attempt.iterations
         if not attempt.converged:
             split = split_at_length(level, forces[:kept], motion[:kept], goal, linear_solver)
-            attempt, steps = (min(attempt, split), steps + split.iterations) if split else (attempt, steps)
+            if split is not None:
+                steps += split.iterations
+                attempt = split if split.converged else min(attempt, split)
         if not attempt.converged:
             break
         forces, rigid = level.unpack(attempt.unknowns)
         motion = level.compliance.motion(forces, rigid)
     if level is not balance:
-        told = f"a solution with harmonics up to {above.basis.orders[kept]} led to none up to {level.basis.orders[-1]}"
+        told = f"what solves harmonics up to {above.basis.orders[kept]} led to nothing up to {level.basis.orders[-1]}"
         attempt = replace(begin_at_full_stick(balance), reason=told)
+    if at_once is not None and not attempt.converged:
+        attempt = replace(min(attempt, at_once), reason=attempt.reason)
     return replace(attempt, iterations=steps)
 
 

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)  # INFO: which rung comes next, and why
 
 # Time stepping to a start: steps a period (at least, and times the highest harmonic), periods, and how steady.
-TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3
+TIME_STEPS, TIME_STEPS_A_HARMONIC, TIME_PERIODS, TIME_TOLERANCE = 256, 8, 40, 1e-3  # half that with more harmonics
 TIME_DAMPING = 0.6  # theta above 1/2, which damps what so few steps do not resolve
 TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, and its most sweeps
 TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
@@ -86,10 +86,10 @@ def solve(
     first; from time stepping with twice as many harmonics, and down to those asked for; laws with rounded corners that
     are sharpened along their branch; damping traced from where little can bounce to the model's own; rounded corners
     through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and
-    that tracing by itself. Weights of one's own that the first climb does not find,
-    or that are far from the default ones, are come to from a solution with these, which takes all these rungs and is
-    the answer itself where no way leads on. Where Newton's method stalls next to a solution, its path leads on from
-    corner to corner (``newton_path.py``); each factorisation counts as a Newton step.
+    that tracing by itself. Weights of one's own that the first climb does not find, or that are far from the default
+    ones, are come to from a solution with these, which takes all these rungs and is the answer itself where no way
+    leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
+    (``newton_path.py``); each factorisation counts as a Newton step.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -199,15 +199,16 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
+    stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it
     if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
         yield "long splitting", lambda best: split_from_full_stick(balance, tolerance, linear_solver, best)
     else:
-        yield "time stepping", lambda best: start_from_time_stepping(problem, balance, tolerance, linear_solver, best)
+        yield "time stepping", lambda best: start_from_time_stepping(stepped(), balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
     if balance.basis.orders[-1] and not problem.model.cyclic and balance.size <= LARGEST_FEW:
-        more = (problem, balance, tolerance, linear_solver)
-        yield "more harmonics, then fewer", lambda best: start_from_more_harmonics(*more, best)
+        more = (balance, tolerance, linear_solver)
+        yield "more harmonics, then fewer", lambda best: start_from_more_harmonics(problem, stepped(), *more, best)
     if balance.size <= LARGEST_TRACED:
         yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
     if problem.frequency and balance.size <= LARGEST_DAMPED:
@@ -218,29 +219,28 @@ def list_rungs(
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
 
 
-@lru_cache(maxsize=1)
-def step_coarsely(problem: ContactProblem) -> SteadyState:
-    """Where some periods of time stepping end, coarse and damped; kept for the next rung.
-
-    Raises:
-        ModelError, ImportError: As ``integrate``.
-    """
+def step_coarsely(problem: ContactProblem) -> SteadyState | str:
+    """Where some periods of time stepping end, coarse and damped; or why there are none."""
     from ewr_fenicsx.solver.time_integration import integrate  # only for those whom Newton fails
 
-    return integrate(
-        problem,
-        steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(problem.basis.orders)),
-        periods=TIME_PERIODS,
-        tolerance=TIME_TOLERANCE,
-        theta=TIME_DAMPING,
-        contact_tolerance=TIME_CONTACT,
-        sweeps=TIME_SWEEPS,
-        acceleration=True,
-    )
+    try:
+        steady = integrate(
+            problem,
+            steps=max(TIME_STEPS, TIME_STEPS_A_HARMONIC * max(problem.basis.orders)),
+            periods=TIME_PERIODS,
+            tolerance=TIME_TOLERANCE,
+            theta=TIME_DAMPING,
+            contact_tolerance=TIME_CONTACT,
+            sweeps=TIME_SWEEPS,
+            acceleration=True,
+        )
+    except (ModelError, ImportError) as refusal:
+        return str(refusal).removesuffix("; use solve")
+    return steady if np.all(np.isfinite(steady.contact_amplitudes[0])) else f"time stepping went {steady.reason}"
 
 
 def start_from_time_stepping(
-    problem: ContactProblem,
+    steady: SteadyState | str,
     balance: HarmonicBalance,
     tolerance: float,
     linear_solver: LinearSolver,
@@ -252,15 +252,11 @@ def start_from_time_stepping(
     themselves, and a step of the laws linearised at forces and motions. Where Newton's method stalls, its path may
     arrive: from there, or from the starts, however far off they are.
 
-    ``balance``: that of the problem, or of the same with more harmonics.
+    ``balance``: that of the problem that was stepped, or of the same with more harmonics.
     """
-    try:
-        steady = step_coarsely(problem)
-    except (ModelError, ImportError) as refusal:
-        return replace(best, iterations=0, reason=str(refusal).removesuffix("; use solve"))
+    if isinstance(steady, str):
+        return replace(best, iterations=0, reason=steady)
     forces, motion = steady.scheme.contact_amplitudes(steady.last, balance.basis.orders)
-    if not np.all(np.isfinite(forces)):
-        return replace(best, iterations=0, reason=f"time stepping went {steady.reason}")
     attempt, steps = best, 0
     if split := split_at_length(balance, forces, motion, tolerance, linear_solver):
         if split.converged:
@@ -293,11 +289,21 @@ def start_from_time_stepping(
 
 
 def start_from_more_harmonics(
-    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver, best: Attempt
+    problem: ContactProblem,
+    steady: SteadyState | str,
+    balance: HarmonicBalance,
+    tolerance: float,
+    linear_solver: LinearSolver,
+    best: Attempt,
 ) -> Attempt:
     """From where time stepping leads with more harmonics, down to those of the problem."""
-    above = HarmonicBalance(add_harmonics(problem, MORE_HARMONICS).system)
-    found = start_from_time_stepping(problem, above, tolerance, linear_solver, begin_at_full_stick(above))
+    if isinstance(steady, str):
+        return replace(best, iterations=0, reason=steady)
+    try:
+        above = HarmonicBalance(add_harmonics(problem, MORE_HARMONICS).system)
+    except ModelError as refusal:  # as where one of them hits a mode without damping
+        return replace(best, iterations=0, reason=f"with more harmonics: {refusal}")
+    found = start_from_time_stepping(steady, above, tolerance, linear_solver, begin_at_full_stick(above))
     if not found.converged:
         reason = f"harmonics up to {above.basis.orders[-1]}: {found.reason}"
         return replace(best, iterations=found.iterations, reason=reason)

@@ -14,9 +14,10 @@ from hard_cases import draw_cases, run_sampled
 from models import blade_root
 from reporting import RESULTS
 
-from ewr_fenicsx import ContactLaws, ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.model.receptance import hit_undamped_mode
 from ewr_fenicsx.response.solution_store import restore, strip
 from ewr_fenicsx.solver import growing_load, ladder, newton, newton_path, snes, time_integration, weights
 from ewr_fenicsx.solver.growing_sets import sample_anew
@@ -292,10 +293,10 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so(monkeypatch):
     monkeypatch.setattr(newton, "split_at_length", lambda *_: None)
     monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
     monkeypatch.setattr(newton, "run_newton", lambda _, unknowns, *given: Attempt(unknowns, 0.1, 1, "as if", False))
-    told = " (from period to period its motion still changes "
+    told, stepped = " (from period to period its motion still changes ", newton.step_coarsely(problem)
     for astray, reason, steps in ((np.inf, "as if", 3), (newton.ASTRAY, start.reason, 1)):  # the starts are far off
         monkeypatch.setattr(newton, "ASTRAY", astray)
-        attempt = newton.start_from_time_stepping(problem, balance, 1e-8, "elimination", start)
+        attempt = newton.start_from_time_stepping(stepped, balance, 1e-8, "elimination", start)
         assert attempt.reason.startswith(reason + told) and attempt.iterations == steps
 
 
@@ -311,7 +312,7 @@ def test_from_time_stepping_a_path_arrives_where_newton_stalls(case, monkeypatch
     """Rungs that take hundreds of steps had to find these; a path is longer than next to a solution, but on its way."""
     problem = hard_cases.pose_case(case)
     balance = HarmonicBalance(problem.system)
-    begin = (problem, balance, 1e-8, "elimination", newton.begin_at_full_stick(balance))
+    begin = (newton.step_coarsely(problem), balance, 1e-8, "elimination", newton.begin_at_full_stick(balance))
     found = newton.start_from_time_stepping(*begin)
     assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
     monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
@@ -324,9 +325,8 @@ def test_a_solution_with_more_harmonics_leads_to_one_with_fewer(monkeypatch):
     case = hard_cases.Case("blade root", 0.7, ("reached", 1.0), 0.6, 9, 0.02, "half open", (1, 1))
     problem = hard_cases.pose_case(case)
     balance, rung = HarmonicBalance(problem.system), "more harmonics, then fewer"
-    stepped = []
-    integrate = time_integration.integrate
-    monkeypatch.setattr(time_integration, "integrate", lambda *a, **k: stepped.append(a[0]) or integrate(*a, **k))
+    stepped, step = [], newton.step_coarsely
+    monkeypatch.setattr(newton, "step_coarsely", lambda posed: stepped.append(posed) or step(posed))
     begin = ladder.begin_at_full_stick(balance)
     ways = dict(newton.list_rungs(problem, balance, None, 1e-8, "elimination"))
     assert not ways["time stepping"](begin).converged
@@ -335,6 +335,33 @@ def test_a_solution_with_more_harmonics_leads_to_one_with_fewer(monkeypatch):
     assert stepped == [problem], "both rungs go by the same motion"
     large = replace(problem, harmonics=1 + newton.LARGEST_FEW // (2 * balance.rows))
     assert rung not in dict(newton.list_rungs(large, HarmonicBalance(large.system), None, 1e-8, "elimination"))
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({0: 1.0}, "with more harmonics: 200 Hz hits an undamped mode exactly"),
+        ({0: 1.0, 150: 0.2}, "steps = 256 cannot resolve harmonic 150"),
+    ],
+)
+def test_where_more_harmonics_make_no_problem_the_ladder_goes_on(given, why, monkeypatch):
+    """It raised: of what was not asked for a mode may be hit, and time stepping may refuse what is given."""
+
+    def hit(*_) -> None:
+        raise hit_undamped_mode(2 * np.pi * 200.0)
+
+    model = ReducedModel(
+        mass=[[1.0]], damping=[[1.0]], stiffness=[[1e6]], tangential=[[1.0]], load={1: [1.0]}, outputs={"mass": [1.0]}
+    )
+    laws = ContactLaws(normal="prescribed", normal_force=given, friction=0.3)
+    problem = ContactProblem(model, laws, 50.0, (0, 1, 2), samples=512, closure="dashpot")
+    for way in ("start_cold", "grow_load"):
+        monkeypatch.setattr(newton, way, lambda balance, *_: newton.begin_at_full_stick(balance))
+    monkeypatch.setattr(newton, "start_from_time_stepping", lambda *given: replace(given[-1], iterations=0))
+    monkeypatch.setattr(newton, "add_harmonics", hit)
+    solution = solve(problem, raise_on_failure=False)
+    rung = next(told for told in solution.fallbacks if told.startswith("more harmonics, then fewer"))
+    assert why in rung and solution.converged and solution.fallbacks[-1] != rung
 
 
 def test_a_run_that_creeps_far_off_is_given_up():

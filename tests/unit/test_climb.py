@@ -10,6 +10,7 @@ from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.solution.symmetry import leave_out_idle
 from ewr_fenicsx.solver import ladder
 from ewr_fenicsx.solver.growing_sets import add_harmonics
 from ewr_fenicsx.solver.snes import Attempt, run_newton
@@ -83,23 +84,42 @@ def test_bodies_that_never_touch_take_no_step(gap, closure):
     assert solution.history("gap", 64).min() > 0.5 * gap
 
 
+def rub(stiffness: float, harmonics, normal_force=1.0, **given) -> ContactProblem:
+    """A mass that rubs."""
+    mass = ReducedModel(
+        mass=[[1.0]], damping=[[1.0]], stiffness=[[stiffness]], tangential=[[1.0]], load={1: [1.0]},
+        outputs={"mass": [1.0]},
+    )  # fmt: skip
+    laws = ContactLaws(normal="prescribed", normal_force=normal_force, friction=0.3)
+    return ContactProblem(mass, laws, 30.0, harmonics, **given)
+
+
 @pytest.mark.parametrize(
     ("kept", "more"),
     [
         (3, (0, 1, 2, 3, 4, 5, 6)),
-        ((1, 3, 5), (1, 3, 5, 7, 9)),  # as symmetry leaves them
         (1, (0, 1, 2)),
+        ((1, 3, 5), (1, 3, 5, 7, 9)),  # as symmetry leaves them
+        ((1,), (1, 3)),
+        ((0, 1), (0, 1, 3)),
         ((0, 1, 4), (0, 1, 4, 7)),
     ],
 )
 def test_harmonics_are_added_as_far_apart_as_the_last_two(kept, more):
-    mass = ReducedModel(
-        mass=[[1.0]], damping=[[1.0]], stiffness=[[1e4]], tangential=[[1.0]], load={1: [1.0]}, outputs={"mass": [1.0]}
-    )
-    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
-    few = ContactProblem(mass, laws, 30.0, kept, samples=64, closure="dashpot")
+    few = rub(1e4, kept, samples=64, closure="dashpot")
     many = add_harmonics(few, 2)
     assert many.basis.orders == more and few.system.laws[-1].rho == pytest.approx(many.system.laws[-1].rho)
+
+
+def test_what_is_added_by_symmetry_does_not_stay_zero():
+    assert add_harmonics(leave_out_idle(rub(1e4, 1)), 2).basis.orders == (1, 3)
+
+
+def test_with_more_harmonics_the_laws_are_the_same():
+    """Beyond them the mass would move by itself, and its law would remember; samples still tell what is given."""
+    few = rub(1e6, 4, {0: 1.0, 150: 0.2}, samples=512)
+    assert few.system.closures == () and replace(few, harmonics=8).system.closures == ("masses",)
+    assert add_harmonics(few, 2).system.closures == () and add_harmonics(few, 2).basis.samples == 512
 
 
 @pytest.fixture(scope="module")
@@ -136,5 +156,16 @@ def test_it_says_down_to_where_it_came(sets, monkeypatch):
     )
     down = ladder.come_down(balance, above, found, 1e-9, "elimination")
     assert not down.converged and down.iterations >= 7
-    assert down.reason == "a solution with harmonics up to 5 led to none up to 4"
+    assert down.reason == "what solves harmonics up to 5 led to nothing up to 4"
     assert down.residual == pytest.approx(np.linalg.norm(balance.residual(down.unknowns)))
+
+
+@pytest.mark.parametrize("walks", [True, False])
+def test_a_splitting_that_ends_nearest_is_what_is_left(sets, walks, monkeypatch):
+    balance, above, found = sets
+    near = Attempt(np.zeros(balance.size), 1e-3, 3, "near", False, walks=walks)
+    lost = lambda b, start, *_, **__: Attempt(start, 0.1, 7, "as if", False)  # noqa: E731
+    monkeypatch.setattr(ladder, "split_at_length", lambda b, *_: near if b is balance else None)
+    monkeypatch.setattr(ladder, "run_and_follow", lost)
+    down = ladder.come_down(balance, above, found, 1e-9, "elimination")
+    assert down.unknowns is near.unknowns and down.walks == walks and down.iterations == (3 if walks else 10)
