@@ -59,8 +59,8 @@ TIME_CONTACT, TIME_SWEEPS = 1e-4, 100  # tolerance of a step's contact forces, a
 TIME_NEWTON = 30  # Newton steps a run from there: those that arrive take fewer
 # Median change from one of the last periods to the next that casts doubt on there being a periodic motion.
 APERIODIC, LAST_PERIODS = 0.1, 10
-# How many times more harmonics are tried where so few find no solution, and unknowns up to which they are
-MORE_HARMONICS, LARGEST_FEW = 2, 3000
+# How many times more harmonics are tried where so few find no solution: up to which harmonic, and how many unknowns
+MORE_HARMONICS, HIGHEST_FEW, LARGEST_FEW = 2, 15, 3000
 LOOSEST = 1e-3  # tolerance above which even a start may pass for a solution
 OWN_STEPS = 40  # of a cold start with weights of one's own, whose last ones mostly creep; the default ones are quicker
 GROSS = 1e-2  # residual above which a failed attempt is far from a solution
@@ -206,7 +206,8 @@ def list_rungs(
         yield "time stepping", lambda best: start_from_time_stepping(stepped(), balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
-    if balance.basis.orders[-1] and not problem.model.cyclic and balance.size <= LARGEST_FEW:
+    is_few = 0 < balance.basis.orders[-1] <= HIGHEST_FEW and balance.size <= LARGEST_FEW
+    if is_few and not problem.model.cyclic:
         more = (balance, tolerance, linear_solver)
         yield "more harmonics, then fewer", lambda best: start_from_more_harmonics(problem, stepped(), *more, best)
     if balance.size <= LARGEST_TRACED:
