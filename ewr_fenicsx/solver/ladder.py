@@ -16,7 +16,7 @@ elsewhere. ``climb`` may be given others, which it tries on each set of harmonic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -32,7 +32,7 @@ from ewr_fenicsx.solver.long_splitting import split_at_length
 from ewr_fenicsx.solver.newton_path import can_follow, run_and_follow
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import Splitting, can_split
-from ewr_fenicsx.solver.warm_starts import WARM_STEPS, try_starts
+from ewr_fenicsx.solver.warm_starts import WARM_STEPS, pick_first, try_starts
 
 # Highest harmonics of the sets that a cold start climbs through: few at first, more where that fails. Where springs,
 # the same for every set, close the truncation, fewer and looser ones come first: that takes fewer steps.
@@ -182,14 +182,8 @@ def come_down(
         if kept > few:
             fewer = above.system.restrict(above.basis.orders[:kept])
             level, goal = HarmonicBalance(fewer, balance.force_unit), max(tolerance, COARSE_TOLERANCE)
-        start = level.pack(forces[:kept], rigid)
-        attempt = run_and_follow(level, start, goal, linear_solver, COARSE_STEPS, near=True)
+        attempt = pick_first(_run_or_split(level, forces[:kept], motion[:kept], rigid, goal, linear_solver))
         steps += attempt.iterations
-        if not attempt.converged:
-            split = split_at_length(level, forces[:kept], motion[:kept], goal, linear_solver)
-            if split is not None:
-                steps += split.iterations
-                attempt = split if split.converged else min(attempt, split)
         if not attempt.converged:
             break
         forces, rigid = level.unpack(attempt.unknowns)
@@ -200,6 +194,20 @@ def come_down(
     if at_once is not None and not attempt.converged:
         attempt = replace(min(attempt, at_once), reason=attempt.reason)
     return replace(attempt, iterations=steps)
+
+
+def _run_or_split(
+    level: HarmonicBalance,
+    forces: ComplexArray,
+    motion: ComplexArray,
+    rigid: RealArray,
+    goal: float,
+    linear_solver: LinearSolver,
+) -> Iterator[Attempt]:
+    """Attempts from what was found with more harmonics: by Newton's method, then by a long splitting."""
+    yield run_and_follow(level, level.pack(forces, rigid), goal, linear_solver, COARSE_STEPS, near=True)
+    if split := split_at_length(level, forces, motion, goal, linear_solver):
+        yield split
 
 
 def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt) -> Attempt:

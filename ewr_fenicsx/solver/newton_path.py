@@ -206,9 +206,10 @@ class _Path:
                 reach, number, corner = self._find_corner(at, rates)
                 arrives = sense > 0 and reach >= 1 - self.share
                 reach = 1 - self.share if arrives else reach
-                if not (reach < np.inf and np.linalg.norm(self.unknowns + reach * ahead) < LOST):
+                unknowns = self.unknowns + (reach * ahead if reach < np.inf else np.inf)
+                if not np.linalg.norm(unknowns) < LOST:
                     return "Newton's path runs to infinity"
-                self.unknowns, self.share = self.unknowns + reach * ahead, self.share + sense * reach
+                self.unknowns, self.share = unknowns, self.share + sense * reach
                 for corners, rate in zip(at, rates, strict=True):
                     corners += reach * rate
                 if arrives or abs(1 - self.share) * left <= 0.5 * tolerance:

@@ -14,10 +14,9 @@ from hard_cases import draw_cases, run_sampled
 from models import blade_root
 from reporting import RESULTS
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.model.receptance import hit_undamped_mode
 from ewr_fenicsx.response.solution_store import restore, strip
 from ewr_fenicsx.solver import growing_load, ladder, newton, newton_path, snes, time_integration, weights
 from ewr_fenicsx.solver.growing_sets import sample_anew
@@ -298,73 +297,6 @@ def test_a_motion_that_does_not_become_periodic_is_said_to_be_so(monkeypatch):
         monkeypatch.setattr(newton, "ASTRAY", astray)
         attempt = newton.start_from_time_stepping(stepped, balance, 1e-8, "elimination", start)
         assert attempt.reason.startswith(reason + told) and attempt.iterations == steps
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        hard_cases.Case("blade root", 0.85, ("reached", 1.0), 1.5, 3, 0.02, "even", (1, 1)),  # from where Newton stalls
-        hard_cases.Case("lap joint", 0.95, ("reached", 1.0), 1.5, 3, 1e-3, "closed", (1, 1)),  # from a start itself
-    ],
-    ids=lambda case: case.model,
-)
-def test_from_time_stepping_a_path_arrives_where_newton_stalls(case, monkeypatch):
-    """Rungs that take hundreds of steps had to find these; a path is longer than next to a solution, but on its way."""
-    problem = hard_cases.pose_case(case)
-    balance = HarmonicBalance(problem.system)
-    begin = (newton.step_coarsely(problem), balance, 1e-8, "elimination", newton.begin_at_full_stick(balance))
-    found = newton.start_from_time_stepping(*begin)
-    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
-    monkeypatch.setattr(newton, "follow_from_afar", lambda *_: None)
-    stalled = newton.start_from_time_stepping(*begin)
-    assert not stalled.converged and stalled.iterations < found.iterations <= stalled.iterations + 15
-
-
-def test_a_solution_with_more_harmonics_leads_to_one_with_fewer(monkeypatch):
-    """A flank bounces: time stepping leads to no solution with nine harmonics, but to one with eighteen."""
-    case = hard_cases.Case("blade root", 0.7, ("reached", 1.0), 0.6, 9, 0.02, "half open", (1, 1))
-    problem = hard_cases.pose_case(case)
-    balance, rung = HarmonicBalance(problem.system), "more harmonics, then fewer"
-    stepped, step = [], newton.step_coarsely
-    monkeypatch.setattr(newton, "step_coarsely", lambda posed: stepped.append(posed) or step(posed))
-    begin = ladder.begin_at_full_stick(balance)
-    ways = dict(newton.list_rungs(problem, balance, None, 1e-8, "elimination"))
-    assert not ways["time stepping"](begin).converged
-    found = ways[rung](begin)
-    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
-    assert stepped == [problem], "both rungs go by the same motion"
-    monkeypatch.setattr(newton, "LARGEST_FEW", balance.size - 1)
-    assert rung not in dict(newton.list_rungs(problem, balance, None, 1e-8, "elimination"))
-    monkeypatch.undo()
-    many = replace(problem, harmonics=1 + newton.HIGHEST_FEW)
-    assert rung not in dict(newton.list_rungs(many, HarmonicBalance(many.system), None, 1e-8, "elimination"))
-
-
-@pytest.mark.parametrize(
-    ("given", "why"),
-    [
-        ({0: 1.0}, "with more harmonics: 200 Hz hits an undamped mode exactly"),
-        ({0: 1.0, 150: 0.2}, "steps = 256 cannot resolve harmonic 150"),
-    ],
-)
-def test_where_more_harmonics_make_no_problem_the_ladder_goes_on(given, why, monkeypatch):
-    """It raised: of what was not asked for a mode may be hit, and time stepping may refuse what is given."""
-
-    def hit(*_) -> None:
-        raise hit_undamped_mode(2 * np.pi * 200.0)
-
-    model = ReducedModel(
-        mass=[[1.0]], damping=[[1.0]], stiffness=[[1e6]], tangential=[[1.0]], load={1: [1.0]}, outputs={"mass": [1.0]}
-    )
-    laws = ContactLaws(normal="prescribed", normal_force=given, friction=0.3)
-    problem = ContactProblem(model, laws, 50.0, (0, 1, 2), samples=512, closure="dashpot")
-    for way in ("start_cold", "grow_load"):
-        monkeypatch.setattr(newton, way, lambda balance, *_: newton.begin_at_full_stick(balance))
-    monkeypatch.setattr(newton, "start_from_time_stepping", lambda *given: replace(given[-1], iterations=0))
-    monkeypatch.setattr(newton, "add_harmonics", hit)
-    solution = solve(problem, raise_on_failure=False)
-    rung = next(told for told in solution.fallbacks if told.startswith("more harmonics, then fewer"))
-    assert why in rung and solution.converged and solution.fallbacks[-1] != rung
 
 
 def test_a_run_that_creeps_far_off_is_given_up():
