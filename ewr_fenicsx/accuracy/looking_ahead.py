@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.fft
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.inexact_step import solve_inexactly
@@ -28,7 +29,7 @@ from ewr_fenicsx.solver.splitting import Splitting, can_split, settle
 from ewr_fenicsx.solver.warm_starts import carry_over
 
 LEAST_LOOKAHEAD = 6  # harmonics that the estimate adds to a low order: the next two or three may be small by chance
-LEAST_SAMPLES = 64
+LEAST_SAMPLES, LEAST_ORDER = 64, 8  # a period, and the harmonic up to which these serve
 RINGING = 2.0  # times the flexibility at a neighbouring harmonic: one that lies at a resonance
 MOST_RINGING, HIGHEST_RINGING = 3, 63  # harmonics at a resonance that are looked at, and how far they are looked for
 RINGING_SAMPLES = 2.5  # a highest harmonic, at least
@@ -88,7 +89,7 @@ class _Neighbour:
 def approach(solution: PeriodicSolution, problem: ContactProblem, accuracy: float) -> Iterator[PeriodicSolution]:
     """Approximations of a neighbouring problem's solution, one begun where the last ended, until a step has no answer.
 
-    A splitting takes samples of its own, half as many as the problem at least.
+    A splitting takes fewer samples, half as many as the problem or less.
 
     Args:
         solution: Converged, or nearly.
@@ -114,7 +115,7 @@ def _can_split_towards(near: _Neighbour) -> bool:
 def _split_towards(near: _Neighbour, accuracy: float) -> Iterator[PeriodicSolution]:
     """Where a splitting from the solution's state comes to, with ever smaller defects; ends where it stalls."""
     try:
-        splitting = Splitting(near.balance, near.problem.basis.samples // 2)
+        splitting = Splitting(near.balance, _choose_fewer_samples(near))
         state = splitting.join(near.forces, near.motion)
         goal = min(SETTLED * accuracy, SETTLED_SHARE * settle(splitting, state, np.inf).defect)
         while (found := settle(splitting, state, goal)).defect <= goal:
@@ -122,6 +123,13 @@ def _split_towards(near: _Neighbour, accuracy: float) -> Iterator[PeriodicSoluti
             yield near.adopt(splitting.unknowns(state), "operator splitting")
     except np.linalg.LinAlgError:  # as next to a mode without damping
         return
+
+
+def _choose_fewer_samples(near: _Neighbour) -> int:
+    """Samples a period of a splitting: half the neighbour's, without those that a low order has on top."""
+    neighbour, share = near.problem.basis, min(1.0, near.solution.orders[-1] / LEAST_ORDER) / 2
+    fewest = max(share * neighbour.samples, RINGING_SAMPLES * neighbour.orders[-1])
+    return scipy.fft.next_fast_len(int(np.ceil(fewest)), real=True)
 
 
 def take_step(solution: PeriodicSolution, problem: ContactProblem) -> PeriodicSolution | None:

@@ -51,9 +51,9 @@ def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:
     Raises:
         ModelError: A limit is negative or NaN; names the first sample and pair.
     """
-    if not np.all(limit >= 0):
+    if not limit.min(initial=0.0) >= 0:
         sample, pair = np.argwhere(~(limit >= 0))[0]
         raise ModelError(
             f"friction limit {limit[sample, pair]} N at sample {sample} of pair {pair}; it must not be negative"
         )
-    return np.clip(force, -limit, limit)
+    return np.minimum(np.maximum(force, -limit), limit)

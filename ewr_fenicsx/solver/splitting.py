@@ -93,7 +93,7 @@ class Splitting:
 
     Args:
         balance: A balance all of whose laws are projections.
-        samples: A period, at least; more where the harmonics need them.
+        samples: A period, more than twice the highest harmonic; None: as many as the harmonics need.
         softness: Share of its usual scale that a row takes whose law opposes displacements.
         springs: Whether springs close truncations where laws have them, or dashpots of the scale.
 
@@ -108,13 +108,16 @@ class Splitting:
         numpy.linalg.LinAlgError: The structure has no answer.
     """
 
-    def __init__(self, balance: HarmonicBalance, samples: int = 0, softness: float = 1.0, *, springs: bool = True):
+    def __init__(
+        self, balance: HarmonicBalance, samples: int | None = None, softness: float = 1.0, *, springs: bool = True
+    ):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
-        told = max(SAMPLES * orders[-1], 2 * balance.system.highest_given + 1)
-        needed = max(FEWEST_SAMPLES, samples, round_up(told)) if orders[-1] else 1
-        self.basis = FourierBasis(orders, needed)
+        told = 2 * balance.system.highest_given + 1
+        usual = max(FEWEST_SAMPLES, round_up(max(SAMPLES * orders[-1], told)))
+        self.basis = FourierBasis(orders, max(told, samples or usual) if orders[-1] else 1)
         self.orders = np.array(orders)
+        self.kept = _join_up(self.orders)
         self.halves = np.where(self.orders == 0, 1.0, 0.5)[:, None]  # of an amplitude, in a spectrum
         self.by_rate, self.offset = np.zeros(balance.rows, dtype=bool), np.zeros(balance.rows)
         self.sprung, usual = np.zeros(balance.rows, dtype=bool), np.ones(balance.rows)
@@ -149,10 +152,10 @@ class Splitting:
 
     def _make_admit(self, law: Law, rows: np.ndarray) -> Callable[[RealArray, ComplexArray, RealArray], None]:
         """Writes what a law admits: it sees trial forces of its own side, and the truncated ones of the other."""
-        columns = self.balance.system.rows_of(law.pairs)
+        columns = {d: _join_up(at) for d, at in self.balance.system.rows_of(law.pairs).items()}
         own = {d: at for d, at in columns.items() if (d == "normal") == (law.direction == "normal")}
         other = {d: at for d, at in columns.items() if d not in own}
-        given = {}
+        given, place, wanted = {}, _join_up(rows), (self.basis.samples, rows.size)
         if "normal" not in columns:
             normal = sample_amplitudes(self.balance.system.prescribed, law.pairs, self.basis.samples)
             given["normal"] = lambda: normal
@@ -160,12 +163,12 @@ class Splitting:
         def admit(trial: RealArray, truncated: ComplexArray, admissible: RealArray) -> None:
             across = {d: lambda at=at: self._sample(truncated[:, at]) for d, at in other.items()}
             found = law.admit(Signal(lambda: trial, own, given | across))
-            if np.shape(found) != (wanted := (len(trial), rows.size)):
+            if np.shape(found) != wanted:
                 raise ModelError(
                     f"{type(law).__name__}.admit returns an array of shape {np.shape(found)}; give one of {wanted}, "
                     "instants by pairs"
                 )
-            admissible[:, rows] = found
+            admissible[:, place] = found
 
         return admit
 
@@ -232,17 +235,18 @@ class Splitting:
 
     def respond(self, spectrum: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """The harmonics sought of a state's, and the forces that the structure makes of them, ``(n_h, m)``."""
-        harmonics = np.where(self.sought, spectrum[self.orders] / self.halves, 0.0)
+        harmonics = np.where(self.sought, spectrum[self.kept] / self.halves, 0.0)
         return harmonics, np.matmul(self.inverse, harmonics[:, :, None])[:, :, 0] + self.unforced
 
     def compare(self, state: RealArray) -> tuple[RealArray, RealArray]:
         """Forces of the structure, and what the laws admit of them, ``(n_t, m)`` each."""
         spectrum = self._analyse(state)
         whole, truncated = self.share * spectrum, np.zeros_like(spectrum)
-        truncated[self.orders] = self.halves * self.respond(spectrum)[1]
-        whole[self.orders] = np.where(self.sought, truncated[self.orders], whole[self.orders])
+        truncated[self.kept] = self.halves * self.respond(spectrum)[1]
+        whole[self.kept] = np.where(self.sought, truncated[self.kept], whole[self.kept])
         forces = self._sample(whole)
         trial, admissible = 2 * forces - state, np.empty_like(state)
+        trial.flags.writeable = False  # laws see parts of it, no copies
         for admit in self.admit:
             admit(trial, truncated, admissible)
         return forces, admissible
@@ -262,6 +266,12 @@ class Splitting:
     def join(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
         """The state of forces [N] and motions [m] of all rows, ``(n_h, m)``, which need not fit each other."""
         return self.basis.synthesise(forces + self.scale * self.opposed * motion) + self.scale * self.offset
+
+
+def _join_up(places: np.ndarray) -> np.ndarray | slice:
+    """Places as a slice where one follows the other, which is read without a copy."""
+    follows = places.size and np.array_equal(places, places[0] + np.arange(places.size))
+    return slice(int(places[0]), int(places[-1]) + 1) if follows else places
 
 
 def resample(state: RealArray, splitting: Splitting) -> RealArray:
@@ -308,7 +318,7 @@ def settle(splitting: Splitting, state: RealArray, tolerance: float, effort: Eff
             break
         forces, admissible = splitting.compare(state)
         defect = admissible - forces
-        size = float(np.linalg.norm(defect) / np.clip(np.linalg.norm(forces), LEAST * unit, unit))
+        size = float(np.linalg.norm(defect) / min(max(np.linalg.norm(forces), LEAST * unit), unit))
         if size < best.defect:
             best = Split(state, size, k + 1)
         if size < PROGRESS * lowest:

@@ -66,7 +66,7 @@ def test_in_the_end_it_has_the_samples_of_the_balance():
     """With weights far off their number counts: with a splitting's own, it ends next to the solution, not at it."""
     balance, usual, motion = pose_far()
     left = []
-    for samples in (0, balance.basis.samples):
+    for samples in (None, balance.basis.samples):
         splitting = Splitting(balance, samples)
         found = settle(splitting, splitting.join(usual.forces, motion), 1e-6, LONG._replace(iterations=12000))
         assert found.defect <= 1e-6

@@ -63,6 +63,22 @@ def test_a_splitting_takes_more_samples_where_the_problem_does(large):
     assert measure_distance(look, truth) < 0.01 * measure_distance(solution, truth)  # with 64 samples 0.07
 
 
+def test_a_harmonic_that_rings_costs_few_samples_and_a_low_order_none_on_top(large, monkeypatch):
+    """Their number is for what the look tells of, not for the harmonic far up that it has besides."""
+    solution = solve(replace(pose("lift-off"), samples=64))
+    ahead = replace(raise_harmonics(solution.problem), harmonics=(*range(12), 32), samples=284)
+    taken, make, errors = [], looking_ahead.Splitting, []
+    for many in (False, True):
+        monkeypatch.setattr(
+            looking_ahead,
+            "Splitting",
+            lambda b, samples, many=many: taken.append(make(b, 512 if many else samples)) or taken[-1],
+        )
+        errors.append(measure_distance(next(approach(solution, ahead, 1e-3)), solution))
+    assert [splitting.basis.samples for splitting in taken] == [90, 512]
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
+
+
 def test_newton_goes_on_from_where_a_splitting_stalls(large, monkeypatch):
     """It began again from the solution with fewer harmonics, further off than the splitting had come."""
     settle, settled = looking_ahead.settle, []

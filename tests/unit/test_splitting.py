@@ -41,6 +41,30 @@ def always_split(monkeypatch):
     monkeypatch.setattr(splitting_module, "WORTHWHILE", 0)
 
 
+@pytest.mark.parametrize("samples, taken", [(None, FEWEST_SAMPLES), (45, 45), (96, 96)])
+def test_it_takes_the_samples_given_or_as_many_as_its_harmonics_need(samples, taken):
+    """An odd number serves as well as another: with the balance's own it ends at the balance's solution."""
+    balance = HarmonicBalance(replace(pose_problem(PROBLEMS["lift-off"]), samples=taken).system)
+    splitting = Splitting(balance, samples)
+    assert splitting.basis.samples == taken
+    found = settle(splitting, splitting.begin(), 1e-7)
+    assert found.defect <= 1e-7
+    assert np.linalg.norm(balance.firm.residual(splitting.unknowns(found.state))) < 1e-5
+
+
+def test_laws_see_trial_forces_that_they_cannot_change(monkeypatch):
+    """They are parts of an array that other laws see parts of."""
+    splitting = Splitting(pose(PROBLEMS["lift-off"]))
+
+    def scale(law, trial):
+        trial["normal"][:] *= 2.0
+        return trial["normal"]
+
+    monkeypatch.setattr(type(splitting.balance.system.laws[0]), "admit", scale)
+    with pytest.raises(ValueError, match="read-only"):
+        splitting.compare(splitting.begin())
+
+
 @pytest.mark.parametrize("kind", LAWS)
 def test_a_law_is_the_projection_that_it_says(kind):
     """Residual: the force less what the law admits of it less its impedance times the motion that it opposes."""
