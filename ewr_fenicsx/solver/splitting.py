@@ -114,8 +114,8 @@ class Splitting:
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
         told = 2 * balance.system.highest_given + 1
-        usual = max(FEWEST_SAMPLES, round_up(max(SAMPLES * orders[-1], told)))
-        self.basis = FourierBasis(orders, max(told, samples or usual) if orders[-1] else 1)
+        enough = max(FEWEST_SAMPLES, round_up(max(SAMPLES * orders[-1], told)))
+        self.basis = FourierBasis(orders, max(told, samples or enough) if orders[-1] else 1)
         self.orders = np.array(orders)
         self.kept = _join_up(self.orders)
         self.halves = np.where(self.orders == 0, 1.0, 0.5)[:, None]  # of an amplitude, in a spectrum
