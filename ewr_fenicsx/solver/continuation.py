@@ -2,7 +2,8 @@
 
 The branch is parametrised by its arc length, in which a fold is an ordinary point. One step: along the tangent that the
 last correction ended with, or a secant, then Newton on the balance bordered with the condition that the point lies in
-the plane normal to that.
+the plane normal to that. What costs is factorisations: each serves as long as steps with it take much of the residual
+away, and a point that is hardly found is given up for a nearer one.
 
 Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalue problems.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -24,6 +26,10 @@ BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-8  # step in the parameter for the derivative of the residual, over its span
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
+_MOST_LEFT = 1.0  # residual of a prediction, over the natural force, above which it leads nowhere
+_SLOW, _PATIENCE = 0.3, 3  # share of the residual that so many steps must go below; a shorter step takes fewer
+# Share of the residual that a step must take away, and its least length: the first with its factors, and further ones.
+_FIRST, _FURTHER = (1e-4, 1e-3), (0.7, 1.0)
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
 _LARGE = 0.3  # share of the norm of the unknowns by which steps may be longer, where that is above one: rarely it is
 _STRAIGHT, _ALONG = 0.9, 0.5  # cosine above which a branch goes straight on; and above which two tangents are one
@@ -70,9 +76,10 @@ def trace_branch(
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, long steps
-            across a sharp corner are halved, and go along secants: they come closer to a corner, in more steps.
+            across a sharp corner are halved, and go along secants: they come closer to a corner, in more steps. Else a
+            step that follows a halved one is no longer than that.
     """
-    here, tangent, spent = start, np.append(np.zeros(start.unknowns.size), 1.0), 0
+    here, tangent, spent, halved = start, np.append(np.zeros(start.unknowns.size), 1.0), 0, False
     if before is not None:
         tangent = _point_to(before, start, span)
     ways = [(here, tangent)]  # the last points, and along what the branch came there
@@ -89,7 +96,7 @@ def trace_branch(
             found, ahead, taken = _turn_corner(balance_at, ways, step, span, tolerance)
             spent += taken
         if found is None:
-            step *= 0.5
+            step, halved = 0.5 * step, True
             continue
         if ahead is None:
             secant = _point_to(here, found, span)
@@ -99,7 +106,8 @@ def trace_branch(
         here, spent = found, 0
         ways = [(here, tangent), *ways[:1]]
         most = largest_step * max(1.0, _LARGE * float(np.linalg.norm(here.unknowns)))
-        step = min(most, step * (1.6 if taken <= 5 else 1.0 if taken <= 8 else 0.7))
+        growth = 0.7 if taken > 8 else 1.0 if taken > 5 or (halved and not np.isfinite(stray)) else 1.6
+        step, halved = min(most, growth * step), False
 
 
 def _find_way(secant: RealArray, tangent: RealArray | None) -> RealArray:
@@ -208,7 +216,8 @@ def _correct(
 ) -> tuple[BranchPoint | None, RealArray | None, int]:
     """The branch's point in the plane across a tangent, through ``ahead`` of here; or None.
 
-    With its own tangent, of either sign, where known, and the Newton steps taken.
+    With its own tangent, of either sign, where known, and the Newton steps taken: factorisations, each of which serves
+    for further steps as well.
     """
     try:
         return _iterate(balance_at, here, ahead, tangent, span, tolerance)
@@ -221,13 +230,14 @@ def _iterate(
 ) -> tuple[BranchPoint | None, RealArray | None, int]:
     """``_correct``, where every trial has a balance."""
     z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
-    balance = balance_at(s)
-    norm, onward = np.linalg.norm(balance.residual(z)), None
-    for taken in range(CORRECTOR_STEPS + 1):
-        if norm <= tolerance:
-            return BranchPoint(s, z, taken), onward, taken
-        if taken == CORRECTOR_STEPS:
-            break
+    balance, onward = balance_at(s), None
+    residual = balance.residual(z)
+    left = [float(np.linalg.norm(residual))]  # by the steps of each factorisation
+    while left[-1] > tolerance:
+        taken = len(left) - 1
+        slow = taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
+        if slow or taken == CORRECTOR_STEPS or left[0] > _MOST_LEFT:
+            return None, None, taken
         linear = balance.linearise(z)
         slope = _differentiate(balance_at, linear, z, s, span)
         try:
@@ -235,21 +245,46 @@ def _iterate(
         except np.linalg.LinAlgError:
             return None, None, taken + 1
         along, across = factors.solution, factors.solve(slope)
-        # the point stays in the plane: tangent . (dz, ds) = 0
         onward = np.append(-across, 1.0) / np.hypot(np.linalg.norm(across), 1.0)
-        with np.errstate(divide="ignore", invalid="ignore"):  # no such step: the branch is at right angles to the last
-            ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
-            dz = -along - ds * across
-        if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
-            return None, None, taken + 1
-        shrink = 1.0
-        while True:
-            trial = balance_at(s + shrink * ds * span)
-            new = np.linalg.norm(trial.residual(z + shrink * dz))
-            if new <= (1 - 1e-4 * shrink) * norm:
-                break
-            shrink *= 0.5
-            if shrink < 1e-3:
+        for share, least in chain([_FIRST], repeat(_FURTHER)):
+            # the point stays in the plane: tangent . (dz, ds) = 0
+            with np.errstate(divide="ignore", invalid="ignore"):  # none: the branch is at right angles to the last
+                ds = tangent[:-1] @ along / (tangent[-1] - tangent[:-1] @ across)
+                dz = -along - ds * across
+            if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
                 return None, None, taken + 1
-        z, s, norm, balance = z + shrink * dz, s + shrink * ds * span, new, trial
-    return None, None, CORRECTOR_STEPS
+            moved = _descend(balance_at, (z, s), (dz, ds * span), np.linalg.norm(residual), share, least)
+            if moved is None:
+                break
+            z, s, balance, residual = moved
+            if np.linalg.norm(residual) <= tolerance:
+                break
+            along = factors.solve(residual)
+        left.append(float(np.linalg.norm(residual)))
+        if not left[-1] < left[-2]:
+            return None, None, taken + 1
+    return BranchPoint(s, z, len(left) - 1), onward, len(left) - 1
+
+
+def _descend(
+    balance_at: BalanceAt,
+    here: tuple[RealArray, float],
+    step: tuple[RealArray, float],
+    norm: float,
+    share: float,
+    least: float,
+) -> tuple[RealArray, float, HarmonicBalance, RealArray] | None:
+    """Where a step leads, halved until it takes away a ``share`` of the residual's ``norm``, or as much less as it is.
+
+    Returns:
+        Unknowns, parameter, balance and residual; None where less than the ``least`` part of the step would do.
+    """
+    shrink = 1.0
+    while shrink >= least:
+        z, s = here[0] + shrink * step[0], here[1] + shrink * step[1]
+        balance = balance_at(s)
+        residual = balance.residual(z)
+        if np.linalg.norm(residual) <= (1 - share * shrink) * norm:
+            return z, s, balance, residual
+        shrink *= 0.5
+    return None

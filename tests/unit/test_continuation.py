@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
+import pytest
 from small_models import dovetail, friction_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, solve
@@ -86,9 +87,10 @@ def test_the_last_step_of_the_corrector_counts(monkeypatch):
     assert step() is None
 
 
-def test_along_tangents_a_branch_takes_fewer_steps(monkeypatch):
-    """Beside the same along secants: laws with rounded corners, sharpened from blunt ones."""
-    balance = HarmonicBalance(ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9).system)
+def sharpen(excitation: float = 600.0, friction: float = 0.2, step: float = 0.1) -> tuple[RealArray, int]:
+    """Laws with rounded corners traced from blunt ones to sharp ones: the exact laws' unknowns, and the steps."""
+    problem = ContactProblem(dovetail(excitation=excitation), ContactLaws(friction=friction), 1000.0, 9)
+    balance = HarmonicBalance(problem.system)
     unit = balance.force_unit / np.sqrt(balance.rows)
 
     def at(logarithm: float) -> HarmonicBalance:
@@ -96,15 +98,49 @@ def test_along_tangents_a_branch_takes_fewer_steps(monkeypatch):
 
     blunt = run_newton(at(0.0), balance.pack(*balance.full_stick), 1e-9, "elimination")
     assert blunt.converged
-    ends, steps = [], []
-    for find_way in (continuation._find_way, lambda secant, _: secant):
-        monkeypatch.setattr(continuation, "_find_way", find_way)
-        branch = continuation.trace_branch(at, BranchPoint(0.0, blunt.unknowns, 0), -2.0, step=0.1, tolerance=1e-9)
-        points = list(takewhile(lambda point: point.parameter > -12.0, branch))
-        ends.append(run_newton(balance, points[-1].unknowns, 1e-9, "elimination", near=True).unknowns)
-        steps.append(sum(point.steps for point in points))
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-6 * np.linalg.norm(ends[1]))
-    assert steps[0] < 0.9 * steps[1]
+    branch = continuation.trace_branch(at, BranchPoint(0.0, blunt.unknowns, 0), -2.0, step=step, tolerance=1e-9)
+    points = list(takewhile(lambda point: point.parameter > -12.0, branch))
+    end = run_newton(balance, points[-1].unknowns, 1e-9, "elimination", near=True).unknowns
+    return end, sum(point.steps for point in points)
+
+
+def test_along_tangents_a_branch_takes_fewer_steps(monkeypatch):
+    """Beside the same along secants, each step with factors of its own."""
+    monkeypatch.setattr(continuation, "_FURTHER", (1.0, 1.0))
+    end, steps = sharpen()
+    monkeypatch.setattr(continuation, "_find_way", lambda secant, _: secant)
+    same, more = sharpen()
+    np.testing.assert_allclose(end, same, atol=1e-6 * np.linalg.norm(same))
+    assert steps < 0.9 * more
+
+
+def test_a_factorisation_serves_for_several_steps(monkeypatch):
+    """It leads to the same end, with fewer of them."""
+    end, steps = sharpen()
+    monkeypatch.setattr(continuation, "_FURTHER", (1.0, 1.0))
+    same, more = sharpen()
+    np.testing.assert_allclose(end, same, atol=1e-6 * np.linalg.norm(same))
+    assert steps < 0.75 * more
+
+
+def test_a_point_that_is_hardly_found_is_given_up(monkeypatch):
+    """A nearer one takes fewer steps."""
+    given = {"excitation": 1500.0, "friction": 0.6, "step": 1.0}
+    end, steps = sharpen(**given)
+    monkeypatch.setattr(continuation, "_SLOW", np.inf)
+    same, more = sharpen(**given)
+    np.testing.assert_allclose(end, same, atol=1e-6 * np.linalg.norm(same))
+    assert steps < 0.8 * more
+
+
+def test_a_prediction_far_off_costs_no_factorisation(monkeypatch):
+    """A shorter one follows: with a limit that no prediction meets, none of them is corrected."""
+    factorised, make = [], continuation.Factorisation
+    monkeypatch.setattr(continuation, "Factorisation", lambda *given: factorised.append(1) or make(*given))
+    monkeypatch.setattr(continuation, "_MOST_LEFT", 0.0)
+    with pytest.raises(IndexError):  # no point
+        sharpen()
+    assert not factorised
 
 
 def test_a_tangent_that_has_turned_away_is_none():
