@@ -3,7 +3,7 @@
 The branch is parametrised by its arc length, in which a fold is an ordinary point. One step: along the tangent that the
 last correction ended with, or a secant, then Newton on the balance bordered with the condition that the point lies in
 the plane normal to that. What costs is factorisations: each serves as long as steps with it take much of the residual
-away, and a point that is hardly found is given up for a nearer one.
+away, and with rounded corners a point that is hardly found is given up for a nearer one.
 
 Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalue problems.
 """
@@ -233,9 +233,10 @@ def _iterate(
     balance, onward = balance_at(s), None
     residual = balance.residual(z)
     left = [float(np.linalg.norm(residual))]  # by the steps of each factorisation
+    rounded = not any(law.has_corners for law in balance.system.laws)  # at corners steps are short by nature
     while left[-1] > tolerance:
         taken = len(left) - 1
-        slow = taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
+        slow = rounded and taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
         if slow or taken == CORRECTOR_STEPS or left[0] > _MOST_LEFT:
             return None, None, taken
         linear = balance.linearise(z)
