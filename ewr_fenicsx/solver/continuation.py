@@ -3,7 +3,7 @@
 The branch is parametrised by its arc length, in which a fold is an ordinary point. One step: along the tangent that the
 last correction ended with, or a secant, then Newton on the balance bordered with the condition that the point lies in
 the plane normal to that. What costs is factorisations: each serves as long as steps with it take much of the residual
-away, and with rounded corners a point that is hardly found is given up for a nearer one.
+away, and with rounded corners a point far off or hardly found is given up for a nearer one.
 
 Source: Keller (1977), Numerical solution of bifurcation and nonlinear eigenvalue problems.
 """
@@ -26,8 +26,9 @@ BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-8  # step in the parameter for the derivative of the residual, over its span
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
-_MOST_LEFT = 1.0  # residual of a prediction, over the natural force, above which it leads nowhere
-_SLOW, _PATIENCE = 0.3, 3  # share of the residual that so many steps must go below; a shorter step takes fewer
+# With rounded corners, for at sharp ones residuals leap and steps are short by nature: the residual of a prediction, over
+# the natural force, above which it leads nowhere; and the share of a residual that so many steps must go below.
+_MOST_LEFT, _SLOW, _PATIENCE = 1.0, 0.3, 3
 # Share of the residual that a step must take away, and its least length: the first with its factors, and further ones.
 _FIRST, _FURTHER = (1e-4, 1e-3), (0.7, 1.0)
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
@@ -233,11 +234,11 @@ def _iterate(
     balance, onward = balance_at(s), None
     residual = balance.residual(z)
     left = [float(np.linalg.norm(residual))]  # by the steps of each factorisation
-    rounded = not any(law.has_corners for law in balance.system.laws)  # at corners steps are short by nature
+    rounded = not any(law.has_corners for law in balance.system.laws)
     while left[-1] > tolerance:
         taken = len(left) - 1
-        slow = rounded and taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
-        if slow or taken == CORRECTOR_STEPS or left[0] > _MOST_LEFT:
+        slow = taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
+        if taken == CORRECTOR_STEPS or (rounded and (slow or left[0] > _MOST_LEFT)):
             return None, None, taken
         linear = balance.linearise(z)
         slope = _differentiate(balance_at, linear, z, s, span)
