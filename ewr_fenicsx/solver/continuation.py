@@ -26,7 +26,7 @@ BalanceAt = Callable[[float], HarmonicBalance]
 
 _DERIVATIVE_STEP = 1e-8  # step in the parameter for the derivative of the residual, over its span
 CORRECTOR_STEPS = 12  # Newton steps allowed a point
-# With rounded corners, for at sharp ones residuals leap and steps are short by nature: the residual of a prediction, over
+# With rounded corners (at sharp ones residuals leap, and steps are short by nature): the residual of a prediction, over
 # the natural force, above which it leads nowhere; and the share of a residual that so many steps must go below.
 _MOST_LEFT, _SLOW, _PATIENCE = 1.0, 0.3, 3
 # Share of the residual that a step must take away, and its least length: the first with its factors, and further ones.
