@@ -45,7 +45,9 @@ CLOSE = 5e-3  # residual above which nothing on a set of harmonics is near a sol
 BRANCH_POINTS, SECOND_LOOKS = 150, 4  # of a traced branch at most; times that its last step is taken again, shorter
 BEGUN = 0.15  # share of the way that a branch is taken to have gone at least, where its pace is looked at
 BEHIND = -2.0  # share of the way, behind its begin, at which a branch is left: it leads away
-LARGEST_TRACED = 2000  # unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics
+# Unknowns: a path takes hundreds of Newton steps, so it is followed with few harmonics; with rounded corners, where no
+# more than the last of several sets is in the way, with some more.
+LARGEST_TRACED, LARGEST_ROUNDED = 2000, 3000
 LARGEST_DAMPED, DAMPED_POINTS = 500, 400  # the same where damping falls: its branch has more corners, and more points
 # Damping that is added, in turn until a cold start finds a solution: over omega times the mass, plus stiffness over
 # omega. And below which of it a branch is traced in equal steps of the damping, above in those of its logarithm.
@@ -219,7 +221,7 @@ def sharpen_corners(balance: HarmonicBalance, tolerance: float, failed: Attempt)
     Returns:
         The solution, or the better of what was found last and the ``failed`` attempt; the steps of both counted.
     """
-    if balance.size > LARGEST_TRACED:
+    if balance.size > LARGEST_ROUNDED:
         return failed
     unit = balance.force_unit / np.sqrt(balance.rows)
 

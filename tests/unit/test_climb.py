@@ -66,6 +66,16 @@ def test_all_sets_are_tried_in_small_joints_next_to_a_solution_or_with_rungs(
     assert visited == [5, 15] and found.converged and found.residual <= 1e-8
 
 
+def test_corners_are_rounded_in_somewhat_larger_joints_than_others_are_traced(monkeypatch):
+    balance = HarmonicBalance(ContactProblem(dovetail(), ContactLaws(friction=0.3), 600.0, 5).system)
+    lost = ladder.begin_at_full_stick(balance)
+    monkeypatch.setattr(ladder, "LARGEST_TRACED", balance.size - 1)
+    found = ladder.sharpen_corners(balance, 1e-8, lost)
+    assert found.converged and np.linalg.norm(balance.residual(found.unknowns)) <= 1e-8
+    monkeypatch.setattr(ladder, "LARGEST_ROUNDED", balance.size - 1)
+    assert ladder.sharpen_corners(balance, 1e-8, lost) is lost
+
+
 @pytest.mark.parametrize("closure", ["mass", "dashpot", "spring"])
 @pytest.mark.parametrize("gap", [1e-3, 20.0])
 def test_bodies_that_never_touch_take_no_step(gap, closure):
