@@ -38,7 +38,7 @@ class Signal(Mapping[str, RealArray]):
     """
 
     at_rows: Callable[[], RealArray]
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, np.ndarray | slice]
     given: Mapping[str, Callable[[], RealArray]] = field(default_factory=dict)
 
     def __getitem__(self, direction: str) -> RealArray:
