@@ -235,10 +235,10 @@ def _iterate(
     residual = balance.residual(z)
     left = [float(np.linalg.norm(residual))]  # by the steps of each factorisation
     rounded = not any(law.has_corners for law in balance.system.laws)
-    while left[-1] > tolerance:
+    while not left[-1] <= tolerance:  # no number is none either
         taken = len(left) - 1
         slow = taken >= _PATIENCE and left[-1] > _SLOW * left[-1 - _PATIENCE]
-        if taken == CORRECTOR_STEPS or (rounded and (slow or left[0] > _MOST_LEFT)):
+        if taken == CORRECTOR_STEPS or np.isnan(left[-1]) or (rounded and (slow or left[0] > _MOST_LEFT)):
             return None, None, taken
         linear = balance.linearise(z)
         slope = _differentiate(balance_at, linear, z, s, span)

@@ -133,6 +133,14 @@ def test_a_point_that_is_hardly_found_is_given_up(monkeypatch):
     assert steps < 0.8 * more
 
 
+def test_what_is_no_number_is_no_point(monkeypatch):
+    """Forces that overflow on the way leave a residual that is none, which is below no tolerance."""
+    here, at = begin(ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9))
+    residual = HarmonicBalance.residual
+    monkeypatch.setattr(HarmonicBalance, "residual", lambda balance, z: np.nan * residual(balance, z))
+    assert next(continuation.trace_branch(at, here, 1000.0, step=1e-3), None) is None
+
+
 def test_a_prediction_far_off_costs_no_factorisation(monkeypatch):
     """A shorter one follows: with a limit that no prediction meets, none of them is corrected."""
     factorised, make = [], continuation.Factorisation
