@@ -232,8 +232,7 @@ def _iterate(
     """``_correct``, where every trial has a balance."""
     z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
     balance, onward = balance_at(s), None
-    residual = balance.residual(z)
-    left = [float(np.linalg.norm(residual))]  # by the steps of each factorisation
+    left = [float(np.linalg.norm(balance.residual(z)))]  # by the steps of each factorisation
     rounded = not any(law.has_corners for law in balance.system.laws)
     while not left[-1] <= tolerance:  # no number is none either
         taken = len(left) - 1
@@ -246,7 +245,7 @@ def _iterate(
             factors = Factorisation(linear, linear.residual)
         except np.linalg.LinAlgError:
             return None, None, taken + 1
-        along, across = factors.solution, factors.solve(slope)
+        along, across, norm = factors.solution, factors.solve(slope), left[-1]
         onward = np.append(-across, 1.0) / np.hypot(np.linalg.norm(across), 1.0)
         for share, least in chain([_FIRST], repeat(_FURTHER)):
             # the point stays in the plane: tangent . (dz, ds) = 0
@@ -255,16 +254,16 @@ def _iterate(
                 dz = -along - ds * across
             if not np.isfinite(ds) or not np.all(np.isfinite(dz)):
                 return None, None, taken + 1
-            moved = _descend(balance_at, (z, s), (dz, ds * span), np.linalg.norm(residual), share, least)
+            moved = _descend(balance_at, (z, s), (dz, ds * span), norm, share, least)
             if moved is None:
                 break
-            z, s, balance, residual = moved
-            if np.linalg.norm(residual) <= tolerance:
+            z, s, balance, norm, residual = moved
+            if norm <= tolerance:
                 break
             along = factors.solve(residual)
-        left.append(float(np.linalg.norm(residual)))
-        if not left[-1] < left[-2]:
+        if not norm < left[-1]:
             return None, None, taken + 1
+        left.append(norm)
     return BranchPoint(s, z, len(left) - 1), onward, len(left) - 1
 
 
@@ -275,18 +274,20 @@ def _descend(
     norm: float,
     share: float,
     least: float,
-) -> tuple[RealArray, float, HarmonicBalance, RealArray] | None:
+) -> tuple[RealArray, float, HarmonicBalance, float, RealArray] | None:
     """Where a step leads, halved until it takes away a ``share`` of the residual's ``norm``, or as much less as it is.
 
     Returns:
-        Unknowns, parameter, balance and residual; None where less than the ``least`` part of the step would do.
+        Unknowns, parameter, balance, and the residual after its norm; None where less than the ``least`` part of the
+        step would do.
     """
     shrink = 1.0
     while shrink >= least:
         z, s = here[0] + shrink * step[0], here[1] + shrink * step[1]
         balance = balance_at(s)
         residual = balance.residual(z)
-        if np.linalg.norm(residual) <= (1 - share * shrink) * norm:
-            return z, s, balance, residual
+        left = float(np.linalg.norm(residual))
+        if left <= (1 - share * shrink) * norm:
+            return z, s, balance, left, residual
         shrink *= 0.5
     return None
