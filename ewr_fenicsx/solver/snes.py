@@ -24,7 +24,9 @@ TIGHTEST = 1e-13  # residual below which rounding decides
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 150  # -ewr_snes_max_it
-TAKE_OVER = 1e-6  # residual of the firm balance from which the balance itself is a step or two away; not from 1e-3
+# Residual of the firm balance from which the balance itself is a few steps away. From larger ones it takes fewer in all,
+# but which mean friction pairs that stick are left with then depends on the way that a solution was found.
+TAKE_OVER = 1e-6
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 NEED_MATRIX = ("newtontr", "newtontrdc", "vinewtonssls")  # its transpose, or scaled rows; as PETSc's preconditioners do
 SMALLEST_DAMPING = 1e-6  # of a Newton step
@@ -32,7 +34,7 @@ SMALLEST_DAMPING = 1e-6  # of a Newton step
 # end at a corner without a solution. Where next to nothing is left, Newton may creep and still arrive, in joints that
 # mostly stick: their pairs begin to slip one after the other.
 CLOSER = 3e-3
-STALLS = ((CLOSER, 8, 0.85), (1e-5, 5, 0.8))
+STALLS = ((CLOSER, 7, 0.85), (1e-5, 5, 0.8))
 # From so many unknowns on, dense factors are made in single precision, in half the time, and GMRES refines the step to
 # this tolerance in so many iterations at most; else they are made anew in double precision.
 REFINE_FROM, REFINEMENTS, ROUGH_TOLERANCE = 500, 10, 1e-10
@@ -97,16 +99,14 @@ def run_newton(
         if balance.firm is balance or norm <= tolerance:
             return newton.run(balance, start, tolerance, near)
         firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)
-        attempts = []
-        if firm.converged:  # the factors of its last step serve the balance as well
-            attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
-            if np.any(balance.held) and not attempts[0].converged:
-                attempts += _soften(newton, balance, firm.unknowns, tolerance)
-        # weights far above the defaults put the two balances far apart: then from the start again
-        if not any(attempt.converged for attempt in attempts) and (firm.converged or norm < CLOSER):
+        if not firm.converged:  # where it stalls, the balance does as well
+            return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
+        # the factors of its last step serve the balance as well
+        attempts = [newton.run(balance, firm.unknowns, tolerance, near=True, again=True)]
+        if np.any(balance.held) and not attempts[0].converged:
+            attempts += _soften(newton, balance, firm.unknowns, tolerance)
+        if not any(attempt.converged for attempt in attempts):  # weights far above the defaults put the two far apart
             attempts.append(newton.run(balance, start, tolerance, near))
-    if not attempts:
-        return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts), iterations=steps)
 
