@@ -24,8 +24,8 @@ TIGHTEST = 1e-13  # residual below which rounding decides
 # that is above a limit: the steps are then shorter where pairs are about to change status.
 SHIFT, SHIFT_ABOVE = 0.1, 1e-3
 MAX_STEPS = 150  # -ewr_snes_max_it
-# Residual of the firm balance from which the balance itself is a few steps away. From larger ones it takes fewer in all,
-# but which mean friction pairs that stick are left with then depends on the way that a solution was found.
+# Residual of the firm balance from which the balance itself is a few steps away. From larger ones they are fewer, but
+# which mean friction pairs that stick are left with then depends on the way that a solution was found.
 TAKE_OVER = 1e-6
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 NEED_MATRIX = ("newtontr", "newtontrdc", "vinewtonssls")  # its transpose, or scaled rows; as PETSc's preconditioners do
