@@ -99,14 +99,18 @@ def run_newton(
         if balance.firm is balance or norm <= tolerance:
             return newton.run(balance, start, tolerance, near)
         firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)
-        if not firm.converged:  # where it stalls, the balance does as well
-            return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
-        # the factors of its last step serve the balance as well
-        attempts = [newton.run(balance, firm.unknowns, tolerance, near=True, again=True)]
-        if np.any(balance.held) and not attempts[0].converged:
-            attempts += _soften(newton, balance, firm.unknowns, tolerance)
-        if not any(attempt.converged for attempt in attempts):  # weights far above the defaults put the two far apart
+        attempts = []
+        if firm.converged:  # the factors of its last step serve the balance as well
+            attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
+            if np.any(balance.held) and not attempts[0].converged:
+                attempts += _soften(newton, balance, firm.unknowns, tolerance)
+        # Weights far above the defaults put the two balances far apart, and a joint that mostly sticks is found by one
+        # where it is not with the other: then from the start again, unless it was too far off for the steps allowed.
+        elsewhere = firm.converged or (norm < CLOSER and firm.iterations != limit)
+        if elsewhere and not any(attempt.converged for attempt in attempts):
             attempts.append(newton.run(balance, start, tolerance, near))
+    if not attempts:
+        return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts), iterations=steps)
 

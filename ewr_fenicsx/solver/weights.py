@@ -29,7 +29,9 @@ from ewr_fenicsx.solver.warm_starts import WARM_STEPS, go_on_from
 # Shares of the way, in the logarithms of the weights, that splittings take one after the other; and how closely those
 # on the way are solved.
 STAGES, STAGE_TOLERANCE = (1 / 3, 2 / 3, 1.0), 1e-4
-DIRECT_STEPS = 8  # Newton steps from the default weights' solution as it is, before: where little slips they arrive
+# Newton steps from the default weights' solution as it is, before: where little slips they arrive. So many at a time,
+# as long as these leave less than a share of the residual.
+DIRECT_STEPS, DIRECT_SHARE = 4, 0.3
 WALK_STEPS = 220  # Newton steps of a walk; one is given up as soon as it would take more at its pace
 # Times above or below the default ones from which weights are come to from these at once: a cold start mostly fails.
 FAR = 30.0
@@ -94,7 +96,7 @@ def approach_weights(
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
     if joined and (balance.size <= LARGEST_STAGED or np.linalg.norm(balance.residual(begin)) <= FAR_OFF):
-        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
+        last = _go_straight(balance, begin, tolerance, linear_solver)
         steps = last.iterations
         if last.converged:
             return last
@@ -116,6 +118,17 @@ def approach_weights(
         steps += last.iterations
     last = last or Attempt(here, np.inf, 0, "no splitting came near a solution", False)
     return replace(last, iterations=steps)
+
+
+def _go_straight(balance: HarmonicBalance, begin: RealArray, tolerance: float, linear_solver: LinearSolver) -> Attempt:
+    """Newton's method from a solution with other weights, given up as soon as it does not close in fast."""
+    steps, left = 0, float(np.linalg.norm(balance.residual(begin)))
+    while True:
+        last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
+        steps += last.iterations
+        if last.converged or last.walks or not last.residual < DIRECT_SHARE * left:
+            return replace(last, iterations=steps)
+        begin, left = last.unknowns, last.residual
 
 
 def walk_weights(
