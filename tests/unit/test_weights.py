@@ -57,14 +57,31 @@ def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkey
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_in_large_joints_what_is_far_off_is_not_tried_at_once(far, monkeypatch, share):
-    """Eight steps of seconds each hardly ever led anywhere; splittings do."""
+    """Some steps of seconds each hardly ever led anywhere; splittings do."""
     balance, usual = far
     tried, run = [], weights.run_and_follow
     monkeypatch.setattr(weights, "run_and_follow", lambda *given, **more: tried.append(given) or run(*given, **more))
     monkeypatch.setattr(weights, "LARGEST_STAGED", balance.size - 1)
     left = np.linalg.norm(balance.residual(balance.pack(usual.forces, usual.rigid)))
     monkeypatch.setattr(weights, "FAR_OFF", share * left)
-    assert approach(far).converged and len(tried) == (share > 1)
+    assert approach(far).converged and bool(tried) == (share > 1)
+
+
+@pytest.mark.parametrize(("shares", "runs"), [((0.5,), 1), ((0.2, 0.5), 2), ((0.2, 0.2, 0.2, 0.9), 4)])
+def test_straight_ahead_goes_on_as_long_as_it_closes_in(far, monkeypatch, shares, runs):
+    """From where the run before ended; some steps that leave most of the residual are the last."""
+    balance, usual = far
+    begin, starts = balance.pack(usual.forces, usual.rigid), []
+    left = np.linalg.norm(balance.residual(begin)) * np.cumprod(shares)
+
+    def run(balance, start, *_, **__):
+        starts.append(start)
+        return Attempt(start + 1.0, left[len(starts) - 1], weights.DIRECT_STEPS, "too many Newton steps", False)
+
+    monkeypatch.setattr(weights, "run_and_follow", run)
+    last = weights._go_straight(balance, begin, 1e-8, "elimination")
+    assert len(starts) == runs and last.iterations == runs * weights.DIRECT_STEPS and last.residual == left[-1]
+    np.testing.assert_allclose(starts, begin + np.arange(runs)[:, None], rtol=0, atol=1e-12)
 
 
 def test_where_little_slips_the_solution_with_default_weights_is_near_enough(far, monkeypatch):
