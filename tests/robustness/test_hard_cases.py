@@ -144,20 +144,20 @@ def test_more_sets_of_harmonics_lead_to_a_solution_in_a_large_joint():
 
 
 @pytest.mark.parametrize(
-    "case",
+    ("case", "most"),
     [
-        ("dovetail", 1.0, ("reached", 3.0), 1.5, 9, 1e-4, "half open", (1, 1)),
-        ("lap joint", 0.95, ("reached", 3.0), 0.6, 31, 5e-3, "closed", (1e3, 1e3)),
-        ("blade root", 3.0, ("reached", 0.01), 0.01, 3, 5e-3, "closed", (1, 1e3)),
-        ("dovetail", 2.0, ("reached", 1.0), 1.5, 9, 5e-2, "even", (1e-3, 1e-3)),
+        (("dovetail", 1.0, ("reached", 3.0), 1.5, 9, 1e-4, "half open", (1, 1)), 60),
+        (("lap joint", 0.95, ("reached", 3.0), 0.6, 31, 5e-3, "closed", (1e3, 1e3)), 100),
+        (("blade root", 3.0, ("reached", 0.01), 0.01, 3, 5e-3, "closed", (1, 1e3)), 60),
+        (("dovetail", 2.0, ("reached", 1.0), 1.5, 9, 5e-2, "even", (1e-3, 1e-3)), 60),
     ],
-    ids=lambda case: f"{case[0]}-{case[4]}",
+    ids=lambda given: f"{given[0]}-{given[4]}" if isinstance(given, tuple) else None,
 )
-def test_newtons_path_takes_a_fraction_of_the_steps(monkeypatch, case):
+def test_newtons_path_takes_a_fraction_of_the_steps(monkeypatch, case, most):
     """Where runs stalled and walks of hundreds of steps, or more sets of harmonics, were the ways on."""
     problem = hard_cases.pose_case(hard_cases.Case(*case))
     solution = solve(problem)
-    assert hard_cases.judge(solution)[0] == "converged" and solution.iterations <= 100
+    assert hard_cases.judge(solution)[0] == "converged" and solution.iterations <= most
     assert solution.problem.rho_tangential is problem.rho_tangential
     monkeypatch.setattr(newton_path, "can_follow", lambda _: False)
     assert solve(replace(problem)).iterations > 2 * solution.iterations
