@@ -7,6 +7,7 @@ over pairs, H (the compliance) is block-diagonal over harmonics.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, partial
 
@@ -45,7 +46,7 @@ class HarmonicBalance:
     def __init__(self, system: ContactSystem, force_unit: float | None = None, least_share: float = 0.0):
         self.system, self.least_share = system, least_share
         self._force_unit = force_unit
-        self._last = None  # the point at which the laws were evaluated last, and what came out
+        self._seen: deque = deque(maxlen=1)  # the point at which the laws were evaluated last, and what came out
         self.basis = system.basis
         self.compliance = system.compliance
         self.rate = 1j * system.compliance.omega * np.array(system.basis.orders)
@@ -134,8 +135,14 @@ class HarmonicBalance:
     @cached_property
     def firm(self) -> HarmonicBalance:
         """The balance to start with: each mean friction force has the share ``FIRM`` at least in its own equation."""
-        firm = HarmonicBalance(self.system, self.force_unit, max(FIRM, self.least_share))
+        firm = self.with_least_share(max(FIRM, self.least_share))
         return self if firm.is_like(self) else firm
+
+    def with_least_share(self, least_share: float) -> HarmonicBalance:
+        """The balance of the same system with another least share: what its laws answered to one serves both."""
+        other = HarmonicBalance(self.system, self.force_unit, least_share)
+        other._seen = self._seen
+        return other
 
     def is_like(self, other: HarmonicBalance) -> bool:
         """Whether another balance of the same system has the same mean equations."""
@@ -207,7 +214,8 @@ class HarmonicBalance:
 
     def residual(self, unknowns: RealArray, motion: ComplexArray | None = None) -> RealArray:
         """Scaled weighted residual, ``(size,)``, of the laws at the motion that the forces cause or another one [m]."""
-        return self._respond(unknowns, motion)[-1].copy()
+        forces, _, caused, _, projected = self._respond(unknowns, motion)
+        return self._weigh(forces, caused, projected)
 
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
         """Residual and generalised Jacobian at a point.
@@ -218,8 +226,8 @@ class HarmonicBalance:
                 that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
                 linearised one.
         """
-        forces, rigid, caused, responses, residual = self._respond(unknowns, motion)
-        step = NewtonStep(self, self.differentiate(responses), residual)
+        forces, rigid, caused, responses, projected = self._respond(unknowns, motion)
+        step = NewtonStep(self, self.differentiate(responses), self._weigh(forces, caused, projected))
         if motion is not None:
             step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
         return step
@@ -271,29 +279,31 @@ class HarmonicBalance:
     def _respond(
         self, unknowns: RealArray, motion: ComplexArray | None = None
     ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response], RealArray]:
-        """Forces, rigid coordinates, the motion that they cause, responses of the laws to it or another, and residual.
+        """Forces, rigid coordinates, the motion that they cause, responses of the laws to it or another, and these
+        projected, ``(n_c, m)``.
 
         The last point is remembered: a Newton step starts where the line search before it ended.
         """
-        if motion is None and self._last is not None and np.array_equal(unknowns, self._last[0]):
-            return self._last[1]
+        if motion is None and self._seen and np.array_equal(unknowns, self._seen[0][0]):
+            return self._seen[0][1]
         forces, rigid = self.unpack(unknowns)
         caused = self.compliance.motion(forces, rigid)
         seen = self.sample(forces, caused if motion is None else motion)
         responses = [law.evaluate(at) for law, at in zip(self.system.laws, seen, strict=True)]
-        if self._last is None:  # a law that answers well once does so always
+        if not self._seen:  # a law that answers well once does so always
             for law, response in zip(self.system.laws, responses, strict=True):
                 check_response(law, response, (self.basis.samples, law.pairs.size))
-        answer = forces, rigid, caused, responses, self._project(forces, caused, [r.residual for r in responses])
+        projected = np.empty(self.unknown.shape)
+        for rows, response in zip(self.law_rows, responses, strict=True):
+            projected[:, rows] = self.basis.project(response.residual)
+        answer = forces, rigid, caused, responses, projected
         if motion is None:
-            self._last = unknowns.copy(), answer
+            self._seen.append((unknowns.copy(), answer))
         return answer
 
-    def _project(self, forces: ComplexArray, caused: ComplexArray, residuals: list[RealArray]) -> RealArray:
-        coefficients = np.empty(self.unknown.shape)
-        for rows, residual in zip(self.law_rows, residuals, strict=True):
-            coefficients[:, rows] = self.basis.project(residual)
-        balance = np.zeros(0)
+    def _weigh(self, forces: ComplexArray, caused: ComplexArray, projected: RealArray) -> RealArray:
+        """The residual, ``(size,)``: the projected laws, with what decides mean friction, and the rigid balance."""
+        coefficients, balance = projected.copy(), np.zeros(0)
         if self.basis.has_mean:
             mean = forces[0].real
             coefficients[0] = self.static_row * coefficients[0] + self.static_force_row * mean

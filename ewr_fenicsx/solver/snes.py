@@ -123,7 +123,7 @@ def _soften(newton: _Newton, balance: HarmonicBalance, start: RealArray, toleran
     """
     attempts: list[Attempt] = []
     for share in SOFTER:
-        between = HarmonicBalance(balance.system, balance.force_unit, share)
+        between = balance.with_least_share(share)
         if between.is_like(balance):
             break
         attempts.append(newton.run(between, start, max(tolerance, TAKE_OVER), near=True))

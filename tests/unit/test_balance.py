@@ -13,6 +13,7 @@ from small_models import dovetail, lift_off_oscillator, random_structure, repeat
 from ewr_fenicsx import ContactLaws, ContactProblem
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.newton_step import Factorisation
+from ewr_fenicsx.laws.coulomb import Coulomb
 from ewr_fenicsx.laws.mean_friction import HELD, MEAN_FRICTION_REGULARISATION
 
 
@@ -348,6 +349,24 @@ def test_full_stick_of_a_floating_body_balances_its_loads():
     motion = c.motion(forces, rigid)
     assert np.abs(motion[:, :6]).max() < 1e-10 * np.abs(c.free_motion).max()
     assert np.abs(motion[1:]).max() < 1e-10 * np.abs(c.free_motion).max()
+
+
+def test_the_firm_balance_takes_the_laws_answers_from_the_balance_and_differs_in_the_mean_alone(monkeypatch):
+    problem = ContactProblem(dovetail(), ContactLaws(friction=0.2), 900.0, harmonics=3)
+    balance, seen = HarmonicBalance(problem.system), []
+    evaluate = Coulomb.evaluate
+    monkeypatch.setattr(Coulomb, "evaluate", lambda law, motion: seen.append(law) or evaluate(law, motion))
+    point = balance.pack(*balance.full_stick) + 0.1
+    soft, firm = balance.residual(point), balance.firm.residual(point)
+    balance.firm.linearise(point)
+    assert len(seen) == 1
+    differs = balance.place(soft - firm) != 0
+    assert np.any(differs[0]) and not np.any(differs[1:])
+    alone = HarmonicBalance(problem.system, balance.force_unit, balance.firm.least_share)
+    np.testing.assert_array_equal(firm, alone.residual(point))
+    balance.residual(point + 0.1)
+    np.testing.assert_array_equal(balance.firm.residual(point), firm)
+    assert len(seen) == 4
 
 
 def test_packing_round_trip():
