@@ -212,7 +212,7 @@ class Scene(Section):
     damping: Damping = section(RatioDamping, "Viscous damping of the structure.")
     supports: Supports = section(Supports, "Where bodies are held.")
     cyclic: Cyclic | None = Field(None, description="The ring of which the mesh is a sector; none where it is missing.")
-    loads: dict[str, Load] = Field(min_length=1, description="Loads by name.")
+    loads: dict[str, Load] = Field({}, description="Loads by name; none where an interference is all that acts.")
     outputs: dict[str, Output] = Field({}, description="Displacements to follow, by name.")
     contact: Contact = section(Contact, "The joint and its laws.")
     flanks: dict[str, Flank] = Field({}, description="Laws of single flanks where they differ, by name of the flank.")

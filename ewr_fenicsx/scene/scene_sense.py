@@ -170,6 +170,11 @@ def oscillating_loads(scene: Scene) -> list[str]:
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
 
 
+def acts_by_itself(laws: Contact) -> bool:
+    """Whether a joint moves the bodies without a load."""
+    return laws.initial_gap < 0 or bool(laws.normal == "prescribed" and laws.normal_force)
+
+
 def static_loads(scene: Scene) -> list[str]:
     """Names of the loads that act on average."""
     return [name for name, load in scene.loads.items() if load.harmonic == 0]
@@ -322,6 +327,11 @@ def _check_accuracy(scene: Scene) -> Iterator[str]:
 
 def _check_excitation(scene: Scene) -> Iterator[str]:
     oscillating = oscillating_loads(scene)
+    if not (scene.loads or any(acts_by_itself(laws) for laws in laws_in_force(scene).values())):
+        yield (
+            "loads: missing, and no flank has an interference (a negative initial_gap) or a normal_force: nothing "
+            "moves; add a table [loads.NAME]"
+        )
     if oscillating and not scene.frequencies:
         yield (
             f'excitation.frequency: missing, and the load "{oscillating[0]}" oscillates; give the frequency of '

@@ -211,7 +211,7 @@ def pose_problem(scene: Scene, model: ReducedModel, interface: Interface | None 
     solver = scene.solver
     harmonics = solver.harmonics
     if solver.accuracy is not None:  # where it begins is not decisive, but loads must have their harmonics
-        harmonics = max(harmonics, *(load.harmonic for load in scene.loads.values()))
+        harmonics = max([harmonics, *(load.harmonic for load in scene.loads.values())])
     frequency = next(iter(scene.frequencies), 0.0)
     return ContactProblem(
         model,

@@ -326,3 +326,26 @@ def test_a_frequency_in_kilohertz_is_told_of(tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(write_blocks(frequency=3.5))
     assert main(["info", str(tmp_path / "scene.toml")]) == 0
     assert "excitation.frequency = 3.5 Hz is so far below the first full-stick mode" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("solver", ["harmonics = 0", "accuracy = 0.01"])
+def test_interference_needs_no_load(tmp_path, solver):
+    """A block that cannot get wider, pressed on one that hardly gives: E w delta / h, over a thickness of one."""
+    E, width, height, overlap = 100e9, 40e-3, 60e-3, 2e-6
+    (tmp_path / "scene.toml").write_text(f"""
+geometry = {{ source = "{ROOT / "geometry" / "two_blocks.py"}", parameters = {{ width = {width}, height = {height} }} }}
+supports = {{ clamp = ["clamp", "top"] }}
+contact = {{ body_a = "upper", body_b = "lower", tangential = "frictionless", initial_gap = {-overlap} }}
+elasticity = {{ thickness = 1.0 }}
+solver = {{ {solver} }}
+
+[materials]
+upper = {{ young = {E}, poisson = 0.0, density = 4000.0 }}
+lower = {{ young = {1e6 * E}, poisson = 0.0, density = 4000.0 }}
+""")
+    chain = build_chain(load_scene(tmp_path / "scene.toml"))
+    solution = solve(pose_problem(chain.scene, chain.reduction.model))
+    pressure = solution.pair_forces["normal"][0].real
+    assert pressure.sum() == pytest.approx(E * width * overlap / height, rel=1e-5)
+    assert pressure.min() > 0
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0

@@ -147,7 +147,9 @@ def test_missing_tables_and_files_are_named(read, tmp_path):
         SceneError, match=r'excitation\.frequency: missing, and the load "shake" oscillates; give the frequency'
     ):
         read(SCENE.replace("[excitation]\nfrequency = 1000", ""))
-    with pytest.raises(SceneError, match=r"loads: has too few entries; give at least 1$"):
+    with pytest.raises(
+        SceneError, match=r"loads: missing, and no flank has an interference .* add a table \[loads\.NAME\]$"
+    ):
         read(HEAD + AT + "[loads]")
     with pytest.raises(SceneError, match=r"geometry\.source = 'bilder\.py': no such file: .*bilder\.py"):
         read(SCENE.replace("builder.py", "bilder.py"))
