@@ -95,7 +95,7 @@ def test_blades_that_are_not_alike_move_more_and_less_so_with_friction(capsys):
 
 
 def largest_blade(stiffness: np.ndarray, damping: np.ndarray) -> float:
-    """Largest amplitude of twelve blades from 105 to 125 Hz [m], on rims joined by the springs at both cuts in series."""
+    """Largest amplitude of twelve blades from 105 to 125 Hz [m], on rims joined by both cuts' springs in series."""
     count, rim, between, largest = 12, 2e6, 4e6 / 2, 0.0
     turn = np.roll(np.eye(count), 1, axis=1)
     joined = 2 * np.eye(count) - turn - turn.T
