@@ -66,8 +66,8 @@ def close_ring(
     following = np.zeros_like(own)
     following[np.ix_(high, np.searchsorted(kept, low))] = turn
     both = own + following
-    rigid = sector.rigid_modes
-    apart = (rigid[high] - turn @ rigid[low]) / np.abs(rigid).max(axis=0, initial=1e-300)
+    rigid = sector.rigid_modes / np.abs(sector.rigid_modes).max(axis=0, initial=1e-300)  # a rotation has lengths
+    apart = rigid[high] - turn @ rigid[low]
     _, sizes, mix = np.linalg.svd(apart)
     matrices = {name: getattr(sector, name) for name in COUPLINGS}
     in_phase = {name: both.T @ matrix @ both for name, matrix in matrices.items()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -58,3 +60,39 @@ def test_outputs_between_sectors_fit_the_model():
         CyclicSymmetry(6, 1, nothing, nothing, nothing, outputs={"mass": [1.0, 0.0]})
     with pytest.raises(ModelError, match=r"cyclic has outputs \['other'\] that the model does not have"):
         chain_of_masses(cyclic=CyclicSymmetry(6, 1, nothing, nothing, nothing, outputs={"other": [1.0, 0.0, 0.0]}))
+
+
+def lattice_sector(count: int, rigid_modes: np.ndarray | None) -> tuple[ReducedModel, np.ndarray]:
+    """One of ``count`` sectors of a plane lattice of springs, two nodes at each cut and two between, and its turn."""
+    angle = 2 * np.pi / count
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    middle = np.array([np.cos(angle / 2), np.sin(angle / 2)])
+    low = np.array([[0.4, 0.0], [0.5, 0.0]])
+    places = np.vstack([low, low @ turn.T, 0.4 * middle, 0.5 * middle])
+    stiffness = np.zeros((12, 12))
+    for i, j in itertools.combinations(range(6), 2):
+        along = (places[j] - places[i]) / np.linalg.norm(places[j] - places[i])
+        stretch = np.zeros((6, 2))
+        stretch[i], stretch[j] = -along, along
+        stiffness += 1e6 * np.outer(stretch.ravel(), stretch.ravel())
+    if rigid_modes is None:
+        shift, spin = np.tile(np.eye(2), (6, 1)), (places @ np.array([[0.0, 1.0], [-1.0, 0.0]])).ravel()
+        rigid_modes = np.column_stack([shift, spin]) @ np.array(
+            [[1.0, 2.0, 300.0], [1.0, -1.0, 0.0], [0.5, 1.0, 900.0]]
+        )
+    model = ReducedModel(0.5 * np.eye(12), 1e-5 * stiffness, stiffness, rigid_modes=rigid_modes)
+    return model, np.kron(np.eye(2), turn)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_a_ring_that_floats_turns_and_does_nothing_else_as_a_whole(given):
+    """Whatever the sizes and mixtures of the sector's own motions are, found or given."""
+    count = 8
+    sector, turn = lattice_sector(count, None)
+    if not given:
+        sector = ReducedModel(sector.mass, sector.damping, sector.stiffness)
+    ring = close_ring(sector, range(4), range(4, 8), sectors=count, engine_order=1, turn=turn)
+    assert ring.rigid_modes.shape == (8, 1)
+    radii = np.hypot(*ring.rigid_modes.reshape(-1, 2).T)
+    np.testing.assert_allclose(radii / radii[0], np.array([0.4, 0.5, 0.4, 0.5]) / 0.4, rtol=1e-9)
+    assert np.abs(ring.stiffness @ ring.rigid_modes).max() < 1e-9 * 1e6 * np.abs(ring.rigid_modes).max()
