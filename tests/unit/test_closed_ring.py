@@ -80,7 +80,9 @@ def lattice_sector(count: int, rigid_modes: np.ndarray | None) -> tuple[ReducedM
         rigid_modes = np.column_stack([shift, spin]) @ np.array(
             [[1.0, 2.0, 300.0], [1.0, -1.0, 0.0], [0.5, 1.0, 900.0]]
         )
-    model = ReducedModel(0.5 * np.eye(12), 1e-5 * stiffness, stiffness, rigid_modes=rigid_modes)
+    model = ReducedModel(
+        0.5 * np.eye(12), 1e-5 * stiffness, stiffness, tangential=np.eye(12)[8:9], rigid_modes=rigid_modes
+    )
     return model, np.kron(np.eye(2), turn)
 
 
@@ -90,7 +92,7 @@ def test_a_ring_that_floats_turns_and_does_nothing_else_as_a_whole(given):
     count = 8
     sector, turn = lattice_sector(count, None)
     if not given:
-        sector = ReducedModel(sector.mass, sector.damping, sector.stiffness)
+        sector = ReducedModel(sector.mass, sector.damping, sector.stiffness, tangential=sector.tangential)
     ring = close_ring(sector, range(4), range(4, 8), sectors=count, engine_order=1, turn=turn)
     assert ring.rigid_modes.shape == (8, 1)
     radii = np.hypot(*ring.rigid_modes.reshape(-1, 2).T)
