@@ -190,24 +190,24 @@ def solve_to_accuracy(
                 found, knobs = solve_next(problem, knobs, solution, tolerance, most, again=again)
             except NotConverged as error:
                 limit, remedy = str(error), OWN
+        if not limit:
+            tried += tuple(f"harmonics up to {knobs.top}: {rung}" for rung in found.fallbacks)
+            before, solution = solution if levels else None, replace(found, fallbacks=tried)
+            estimate = judge(solution, before, levels, modes, accuracy, figure)
+            levels.append(Level.of(solution, estimate, len(modes)))
+            LOG.info("harmonics up to %d: estimated error %.1g of %g asked", knobs.top, estimate.total, accuracy)
+            if estimate.total <= accuracy:
                 break
-        tried += tuple(f"harmonics up to {knobs.top}: {rung}" for rung in found.fallbacks)
-        before, solution = solution if levels else None, replace(found, fallbacks=tried)
-        estimate = judge(solution, before, levels, modes, accuracy, figure)
-        levels.append(Level.of(solution, estimate, len(modes)))
-        LOG.info("harmonics up to %d: estimated error %.1g of %g asked", knobs.top, estimate.total, accuracy)
-        if estimate.total <= accuracy:
-            break
-        if estimate.dominating == "modes":
+            if estimate.dominating != "modes":
+                knobs, limit = raise_knobs(knobs, solution, levels, accuracy, int(highest), most_unknowns)
+        known = levels[-1].modes == len(modes)  # else what was found knows less than more modes did, that led nowhere
+        if limit and known and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # others need not wait
+            others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
+            estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others, estimate.sliding)
+        if known and estimate.dominating == "modes":
+            limit, remedy = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}", MORE
             if more_modes and len(modes) < most_modes:
-                problem, modes = more_modes(raise_modes(len(modes), most_modes))
-            else:
-                limit = f"the {len(modes)} modes of the reduced model leave an error of {estimate.modes:.1g}"
-        else:
-            knobs, limit = raise_knobs(knobs, solution, levels, accuracy, int(highest), most_unknowns)
-    if limit and estimate.harmonics + np.nan_to_num(estimate.samples) > accuracy:  # what waited need not any more
-        others = estimate_weight(solution, figure), estimate_modes(solution, modes, figure)
-        estimate = ErrorEstimate(estimate.harmonics, estimate.samples, *others, estimate.sliding)
+                (problem, modes), limit = more_modes(raise_modes(len(modes), most_modes)), ""
     broken = solution.list_broken_symmetry()  # what it left out is in no estimate
     if broken:
         limit, remedy = broken[0], "give the law odd = False"

@@ -53,6 +53,9 @@ SLIDING_SAMPLES = 256  # a period, at which sliding is compared
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 # Of the estimated error of the sliding: over that of the response, and by itself, from where on it is worth a word
 FAR_OFF, WORTH_A_WORD = 2.0, 0.05
+# What modes left out may do at most, from where on they are not thought to take part as those kept do; and the share of
+# it that those kept do at least where they tell
+NEAR, BLIND = 1 / 3, 1e-6
 COARSE, UNKNOWN = 0.02, 1.0  # estimated error that a user should know a remedy for; one that tells no more than that
 Figure = Callable[[PeriodicSolution], RealArray]
 
@@ -137,12 +140,15 @@ def compare_responses(here: ComplexArray, there: ComplexArray, rest: RealArray |
 def read_response(
     problem: ContactProblem, forces: ComplexArray, rigid: RealArray, orders: Sequence[int]
 ) -> ComplexArray:
-    """Oscillation of the outputs, ``(n_h, p)`` at ``orders`` above 0; without outputs, of all contact rows as one."""
+    """Oscillation of the outputs, ``(n_h, p)`` at ``orders`` above 0; without outputs, of all contact rows as one.
+
+    Where these stick they do not move: their forces, as what they would move each row by itself, count as well.
+    """
     compliance, known = problem.system.compliance, problem.basis.orders
     if problem.model.outputs:
         amplitudes = np.column_stack([compliance.output(name, forces, rigid) for name in problem.model.outputs])
     else:
-        amplitudes = compliance.motion(forces, rigid)
+        amplitudes = np.hstack([compliance.motion(forces, rigid), problem.system.flexibility * forces])
     response = np.zeros((len(orders), amplitudes.shape[1]), dtype=complex)
     for j, h in enumerate(orders):
         if h and h in known:
@@ -154,7 +160,9 @@ def bound_response(solution: PeriodicSolution) -> RealArray:
     """``(p,)`` norms of what ``read_response`` reads, if no contact forces and loads cancelled."""
     compliance, above = solution.problem.system.compliance, np.array(solution.orders) > 0
     bounds = [compliance.bound_output(name, solution.forces)[above] for name in solution.problem.model.outputs]
-    bounds = bounds or [compliance.bound_rows(solution.forces)[above].ravel()]
+    if not bounds:
+        pushed = np.abs(solution.problem.system.flexibility * solution.forces)
+        bounds = [np.hstack([compliance.bound_rows(solution.forces), pushed])[above].ravel()]
     return np.linalg.norm(bounds, axis=1)
 
 
@@ -305,6 +313,9 @@ def estimate_at_once(
 def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Figure | None = None) -> float:
     """Error by the modes left out: one Newton step with a third of those kept left out as well, the highest.
 
+    Those may take no part in the motion, and those left out may: where nothing moves without them, and where loads are
+    not far below the highest mode kept, it is what any mode beyond may do.
+
     Args:
         solution: Converged.
         modes: Which coordinates of the model are modal, by rising frequency; none: NaN, for it is not looked at. As
@@ -313,7 +324,24 @@ def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Fig
     """
     if not len(modes):
         return np.nan
-    return step_towards(solution, keep_fewer(solution.problem, modes), figure)
+    dropped, most = (
+        step_towards(solution, keep_fewer(solution.problem, modes), figure),
+        bound_beyond(solution.problem, modes),
+    )
+    return dropped if most < NEAR and dropped > BLIND * most else max(dropped, most)
+
+
+def bound_beyond(problem: ContactProblem, modes: Sequence[int]) -> float:
+    """What modes above those kept may add at most to their static responses, over these: under the fastest load.
+
+    Args:
+        problem: On all modes kept.
+        modes: As in ``estimate_modes``.
+    """
+    kept, model = list(modes), problem.model
+    squares = np.diagonal(model.stiffness)[kept] / np.diagonal(model.mass)[kept]
+    ratio = float((max(problem.driven, default=0) * problem.omega) ** 2 / squares.max())
+    return min(UNKNOWN, ratio / max(1.0 - ratio, ROUNDED))
 
 
 def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...]:

@@ -166,7 +166,7 @@ class _Modes:
         """How many modes may be kept; those that the scene states in any case."""
         from ewr_fenicsx.accuracy.accuracy import MOST_MODES
 
-        return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes)
+        return min(max(MOST_MODES, self.chain.scene.reduction.modes), self.chain.reduction.most_modes - 1)
 
     def keep_more(self, count: int) -> tuple[ContactProblem, Sequence[int]]:
         """The scene's problem on a model with so many modes, and which of its coordinates are modal.

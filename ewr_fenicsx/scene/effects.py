@@ -12,7 +12,7 @@ from ewr_fenicsx.laws.law_kinds import find_kind
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.scene.scene_joint import Contact
-from ewr_fenicsx.scene.scene_sense import can_wear, laws_in_force, oscillating_loads
+from ewr_fenicsx.scene.scene_sense import laws_in_force, oscillating_loads
 from ewr_fenicsx.scene.scene_structure import ForceLoad, RotationLoad
 from ewr_fenicsx.solution.symmetry import find_idle_harmonics, leave_out_idle
 
@@ -185,7 +185,7 @@ def _list_studies(scene: Scene, joint: Joint) -> Iterator[Effect]:
     why = "no [wear]"
     if wear:
         own = {f"flanks.{name}": flank.wear for name, flank in scene.flanks.items() if flank.wear is not None}
-        worn = [place for place, laws in joint.items() if can_wear(laws) and own.get(place) != 0]
+        worn = [place for place, laws in joint.items() if laws.can_wear and own.get(place) != 0]
         where = ", ".join(f"{place} ({own[place]:g} 1/Pa)" if place in own else place for place in worn)
         why = f"wear.coefficient = {wear.coefficient:g} 1/Pa, {wear.cycles} cycles, on {where}"
     yield Effect("wear", wear is not None, why)

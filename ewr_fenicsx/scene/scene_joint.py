@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from ewr_fenicsx.errors import nearest
 from ewr_fenicsx.laws import contact_laws  # noqa: F401  registers the package's own laws
-from ewr_fenicsx.laws.law_kinds import Side, known_laws, load_laws
+from ewr_fenicsx.laws.law_kinds import Side, find_kind, known_laws, load_laws
 from ewr_fenicsx.laws.mean_friction import StaticFriction
 from ewr_fenicsx.scene.scene_entries import Number, Section, entry
 
@@ -109,6 +109,18 @@ class Contact(Section):
         if self.body_a == self.body_b:
             raise PydanticCustomError("bodies", "body_a and body_b should differ; a body has no contact with itself")
         return self
+
+    @property
+    def can_wear(self) -> bool:
+        """Whether the bodies press, part and slide, with friction or without: what wear needs and changes."""
+        slides = "slip" in find_kind("tangential", self.tangential).histories
+        return find_kind("normal", self.normal).opens and slides
+
+    @property
+    def acts_by_itself(self) -> bool:
+        """Whether the joint moves the bodies without a load; a law of one's own may."""
+        may_press = not find_kind("normal", self.normal).__module__.startswith("ewr_fenicsx.")
+        return may_press or self.initial_gap < 0 or bool(self.normal == "prescribed" and self.normal_force)
 
 
 class Flank(Section):

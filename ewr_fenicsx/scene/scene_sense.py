@@ -170,11 +170,6 @@ def oscillating_loads(scene: Scene) -> list[str]:
     return [name for name, load in scene.loads.items() if load.harmonic > 0]
 
 
-def acts_by_itself(laws: Contact) -> bool:
-    """Whether a joint moves the bodies without a load."""
-    return laws.initial_gap < 0 or bool(laws.normal == "prescribed" and laws.normal_force)
-
-
 def static_loads(scene: Scene) -> list[str]:
     """Names of the loads that act on average."""
     return [name for name, load in scene.loads.items() if load.harmonic == 0]
@@ -191,12 +186,6 @@ def laws_in_force(scene: Scene, flanks: Sequence[str] | None = None) -> dict[str
     flanks = scene.listed_flanks if flanks is None else flanks
     covered = flanks is not None and set(flanks) <= set(scene.flanks)
     return own if covered else {"contact": scene.contact} | own
-
-
-def can_wear(laws: Contact) -> bool:
-    """Whether the bodies press, part and slide there, with friction or without: what wear needs and changes."""
-    slides = "slip" in find_kind("tangential", laws.tangential).histories
-    return find_kind("normal", laws.normal).opens and slides
 
 
 def _doubt_units(scene: Scene) -> Iterator[str]:
@@ -327,7 +316,7 @@ def _check_accuracy(scene: Scene) -> Iterator[str]:
 
 def _check_excitation(scene: Scene) -> Iterator[str]:
     oscillating = oscillating_loads(scene)
-    if not (scene.loads or any(acts_by_itself(laws) for laws in laws_in_force(scene).values())):
+    if not (scene.loads or any(laws.acts_by_itself for laws in laws_in_force(scene).values())):
         yield (
             "loads: missing, and no flank has an interference (a negative initial_gap) or a normal_force: nothing "
             "moves; add a table [loads.NAME]"
@@ -386,14 +375,14 @@ def _check_wear(scene: Scene) -> Iterator[str]:
             continue
         if scene.wear is None:
             yield f"flanks.{name}.wear = {own.wear:g}: nothing wears without [wear], which says for how many cycles"
-        elif own.wear and not can_wear(laws := scene.laws_on(name)):
+        elif own.wear and not (laws := scene.laws_on(name)).can_wear:
             yield (
                 f'flanks.{name}.wear = {own.wear:g}: with normal = "{laws.normal}", tangential = "{laws.tangential}" '
                 f'nothing slides and opens there; remove it, or set normal = "unilateral" and tangential = "coulomb"'
             )
     if scene.wear is None:
         return
-    if not any(can_wear(laws) for laws in laws_in_force(scene).values()):
+    if not any(laws.can_wear for laws in laws_in_force(scene).values()):
         where, laws = next(iter(laws_in_force(scene).items()))
         yield (
             f'wear without a contact that slides and opens: {where} has normal = "{laws.normal}" and tangential = '

@@ -17,9 +17,9 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 
-# Mean friction over its limit, and what it changes of a mean normal force over the largest one, from where on the
-# history of the loads is worth a word
-CARRIED, CHANGED = 0.05, 0.05
+# Mean friction over its limit, and what it changes of a pair's mean force over what that can be, from where on the
+# history of the loads is worth a word; and the share of the largest such force that is compared with at least
+CARRIED, CHANGED, FAINT = 0.05, 0.05, 0.1
 
 
 def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray) -> list[str]:
@@ -44,18 +44,28 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
     along = lambda direction, pairs: change[problem.system.row_of(direction, pairs)]  # noqa: E731
     friction = np.hypot.reduce([np.zeros(stuck.size), *(along(d, stuck) for d in problem.model.tangent_directions)])
     carried = stuck[friction > CARRIED * limit]
-    pressed = problem.system.index.get("normal", np.zeros(0, dtype=int))
-    pressed = np.flatnonzero(pressed >= 0)
-    largest = np.abs(forces[0].real[problem.system.row_of("normal", pressed)]).max(initial=0.0)
-    decides = np.any(np.abs(along("normal", pressed)) > CHANGED * largest)
-    if not carried.size or not (decides or not problem.frequency):
+    every = np.arange(problem.model.pairs)
+    normal = (
+        problem.given_force.get(0, np.zeros(every.size)).real
+        + np.append(forces[0].real, 0.0)[problem.system.row_of("normal", every)]
+    )
+    limits = np.where(np.isin(every, stuck), 0.0, problem.friction * np.maximum(0.0, normal))
+    rubs = np.hypot.reduce([np.zeros(every.size), *(along(d, every) for d in problem.model.tangent_directions)])
+    presses, slides = _matters(along("normal", every), normal), _matters(rubs * (limits > 0), limits)
+    if not carried.size or not (presses or slides or not problem.frequency):
         return []
-    what = "normal forces" if decides else "where they rest"
+    what = "normal forces" if presses else "how others slide" if slides else "where they rest"
     return [
         f"friction holds {name_pairs(carried)} throughout: what it carries there on average, and with it {what}, "
         'depends on how the loads came; this is the state with the least of it, static_friction = "held" the one after '
         "a slow loading from rest"
     ]
+
+
+def _matters(change: RealArray, force: RealArray) -> bool:
+    """Whether changes are worth a word beside the forces that change, or the larger ones of other pairs, ``(K,)``."""
+    size = np.abs(force)
+    return bool(np.any(np.abs(change) > CHANGED * np.maximum(size, FAINT * size.max(initial=0.0))))
 
 
 def find_stuck(balance: HarmonicBalance, forces: ComplexArray, rigid: RealArray) -> tuple[np.ndarray, RealArray]:

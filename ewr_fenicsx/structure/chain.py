@@ -19,7 +19,6 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.scene.scene_joint import Contact
 from ewr_fenicsx.scene.scene_sense import (
-    can_wear,
     doubt_closure,
     doubt_drag,
     doubt_frequency,
@@ -247,7 +246,7 @@ def spread_wear(scene: Scene, interface: Interface) -> np.ndarray:
     """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where nothing wears."""
     own = {name: flank.wear for name, flank in scene.flanks.items() if flank.wear is not None}
     usual = scene.wear.coefficient if scene.wear else 0.0
-    of_flank = [own.get(name, usual) if can_wear(scene.laws_on(name)) else 0.0 for name in interface.flanks]
+    of_flank = [own.get(name, usual) if scene.laws_on(name).can_wear else 0.0 for name in interface.flanks]
     return np.array(of_flank)[interface.flank_of_pair]
 
 

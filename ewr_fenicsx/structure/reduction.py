@@ -179,15 +179,16 @@ def keep_more_modes(reduction: CraigBampton, modes: int) -> CraigBampton:
 
     Args:
         reduction: What there is.
-        modes: Number of modes of the result, more than there are and at most ``reduction.most_modes``.
+        modes: Number of modes of the result, more than there are and less than ``reduction.most_modes``: where it is
+            all that are left, SLEPc finds none beside those known.
 
     Raises:
         ModesError: So many modes there are not, or they did not converge.
     """
     structure, boundary = reduction.structure, reduction.boundary_dofs
     known = range(len(boundary), len(boundary) + len(reduction.fixed_interface_frequencies))  # of the basis
-    if not len(known) < modes <= reduction.most_modes:
-        raise ModesError(f"{modes} modes asked for; give more than the {len(known)} there are, at most "
+    if not len(known) < modes < reduction.most_modes:
+        raise ModesError(f"{modes} modes asked for; give more than the {len(known)} there are, and fewer than "
                          f"{reduction.most_modes}, as many as the interior has degrees of freedom")  # fmt: skip
     interior = _cut_interior(structure, boundary)
     here = interior.dofs - structure.mass.getOwnershipRange()[0]

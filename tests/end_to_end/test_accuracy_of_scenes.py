@@ -65,6 +65,22 @@ def test_an_estimate_that_fails_loses_no_result(tmp_path, capsys, monkeypatch, e
     assert facts["estimate"] is None and facts["solution"]["converged"]
 
 
+@pytest.mark.parametrize("modes", [1, 3, 10])
+def test_modes_that_take_no_part_in_the_motion_tell_nothing_of_those_left_out(modes):
+    """A rod driven below the first mode along its axis: those kept bend, and harmonics are raised first, in vain."""
+    scene = load_scene(Path(__file__).parents[2] / "demos" / "tapping_rod.toml")
+    tips = {}
+    for count in (modes, 60):
+        reduction = scene.reduction.model_copy(update={"modes": count})
+        chain = build_chain(scene.model_copy(update={"reduction": reduction}))
+        problem, watched = pose_problem(chain.scene, chain.reduction.model), _Modes(chain, Stopwatch())
+        tips[count] = solve_to_accuracy(problem, 0.01, **watched.choice)
+    found, truth = (tip.solution.output("tip")[1] for tip in tips.values())
+    assert abs(found - truth) < 2 * max(0.01, tips[modes].estimate.total) * abs(truth)
+    assert abs(found - truth) < 0.03 * abs(truth) and tips[modes].levels[-1].modes > modes
+    assert tips[modes].estimate.modes < 0.03
+
+
 def test_what_is_not_truncated_has_no_estimate(tmp_path, capsys):
     """Nothing oscillates: a static solve."""
     text = write_scene(tmp_path).read_text().split("[excitation]")[0]

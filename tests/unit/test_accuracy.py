@@ -269,7 +269,7 @@ def test_what_sticks_throughout_is_exact(outputs):
     model = replace(friction_oscillator(load={1: 1.0}), outputs=outputs)
     found = solve_to_accuracy(ContactProblem(model, laws, 0.1), 0.01)
     assert np.abs(found.solution.slip_amplitudes["tangential"]).max() < 1e-12
-    assert found.reached and found.estimate.total == 0.0 and len(found.levels) == 1
+    assert found.reached and found.estimate.total < 1e-12 and len(found.levels) == 1
 
 
 @pytest.mark.parametrize("figure", ["J_T", 3])

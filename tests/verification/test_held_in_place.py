@@ -115,6 +115,36 @@ def test_what_a_pair_may_carry_is_its_least_limit_over_the_period():
     assert pairs.tolist() == [0] and limit == pytest.approx([30.0], rel=1e-12)
 
 
+def test_it_is_open_as_well_where_a_lightly_pressed_pair_slides_otherwise():
+    """A pair that sticks under a large interference decides how two others slide, of which one is far lighter pressed.
+
+    The largest normal force is another pair's, and hardly changes. Two masses, and springs along the directions of
+    their contact rows: normals of three pairs, then their tangents.
+    """
+    to_rows = 1e3 * np.array(
+        [[293.2, 52.8, 264.4, -176.2, 157.9, 235.2], [-187.8, 446.3, 155.5, -275.1, -18.7, -399.9]]
+    )
+    at_rows = 1e3 * np.array([348.2, 449.5, 306.8, 326.7, 159.0, 463.9])
+    of_masses = 1e3 * np.array([[954.9, -45.4], [-45.4, 1308.7]])
+    stiffness = np.block([[of_masses, to_rows], [to_rows.T, np.diag(at_rows)]])
+    mass, damping = np.zeros((2, 8, 8))
+    mass[:2, :2], damping[:2, :2] = np.diag([1.583, 0.569]), [[52.2, -0.2], [-0.2, 32.7]]
+    load = {0: np.zeros(8), 3: np.zeros(8, dtype=complex)}
+    load[0][:2], load[3][:2] = [56.7, 95.3], [16.4 - 44.3j, 33.3 - 82.4j]
+    rows = np.eye(8)
+    model = ReducedModel(mass, damping, stiffness, normal=rows[2:5], tangential=rows[5:], load=load)
+    work, told = {}, {}
+    for static_friction in ("resolved", "held"):
+        rubs = {"friction": 0.505, "static_friction": static_friction}
+        pressed = ContactLaws(initial_gap=-8.6e-4, **rubs)
+        laws = [([0, 2], ContactLaws("bonded", "coulomb", **rubs)), ([1], pressed)]
+        solution = solve(ContactProblem(model, laws, 31.2, harmonics=15, closure="spring"))
+        work[static_friction] = solution.merit["friction_dissipation"]
+        told[static_friction] = [line for line in solution.cautions if "friction holds pair 1 throughout" in line]
+    assert work["held"] > 1.5 * work["resolved"] > 0
+    assert len(told["resolved"]) == 1 and not told["held"]
+
+
 def test_one_whose_pairs_all_slip_is_not_open():
     slips = solve(ContactProblem(dovetail(excitation=400.0), ContactLaws(friction=0.05), 900.0))
     assert not any("how the loads came" in line for line in slips.cautions)
