@@ -7,7 +7,7 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
   close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated. It adds to what harmonics do.
-- *modes*: a third fewer (``fewer_modes.py``).
+- *modes*: a third fewer (``fewer_modes.py``), or what any mode beyond may do where those tell nothing.
 
 The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer; in
 large joints operator splitting gets there in less time.
