@@ -63,7 +63,12 @@ class Walk(NamedTuple):
 
 
 def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
-    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
+    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance.
+
+    At rest without any load nothing walks: an interference may have pushed a body away.
+    """
+    if not (np.any(balance.rate) or np.any(balance.compliance.rigid_load)):
+        return False
     left, largest = _leave_over(balance, unknowns)
     return bool(left.max() > NOTICED * largest)
 

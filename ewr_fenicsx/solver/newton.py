@@ -202,7 +202,7 @@ def list_rungs(
     stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it
     if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
         yield "long splitting", lambda best: split_from_full_stick(balance, tolerance, linear_solver, best)
-    else:
+    elif problem.frequency:
         yield "time stepping", lambda best: start_from_time_stepping(stepped(), balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
