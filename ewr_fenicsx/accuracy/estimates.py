@@ -324,10 +324,8 @@ def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Fig
     """
     if not len(modes):
         return np.nan
-    dropped, most = (
-        step_towards(solution, keep_fewer(solution.problem, modes), figure),
-        bound_beyond(solution.problem, modes),
-    )
+    most = bound_beyond(solution.problem, modes)
+    dropped = step_towards(solution, keep_fewer(solution.problem, modes), figure)
     return dropped if most < NEAR and dropped > BLIND * most else max(dropped, most)
 
 

@@ -322,9 +322,9 @@ def list_parameters(side: Side, name: str) -> tuple[str, ...]:
     return tuple(f.name for f in fields(kind))
 
 
-def is_own(kind: LawKind) -> bool:
-    """Whether a kind is not the package's but a user's."""
-    return not type(kind).__module__.startswith("ewr_fenicsx.")
+def is_own(kind: type) -> bool:
+    """Whether a kind, by its class, is not the package's but a user's."""
+    return not kind.__module__.startswith("ewr_fenicsx.")
 
 
 def known_laws(side: Side) -> tuple[str, ...]:

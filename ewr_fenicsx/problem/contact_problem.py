@@ -177,7 +177,7 @@ class ContactProblem:
     def own_kinds(self) -> tuple[str, ...]:
         """Names of the kinds among its laws that are not the package's, each once."""
         kinds = [kind for _, laws in self.groups for kind in laws.kinds]
-        return tuple(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(kind)))
+        return tuple(dict.fromkeys(type(kind).__name__ for kind in kinds if is_own(type(kind))))
 
     @cached_property
     def clearance(self) -> RealArray:

@@ -160,7 +160,7 @@ def _feed(update: Callable[[bytes], None], item: object) -> None:
             update(entry.name.encode())
             _feed(update, getattr(item, entry.name))
         for kind in item.kinds if isinstance(item, ContactLaws) else ():
-            if is_own(kind):
+            if is_own(type(kind)):
                 update(read_code(type(kind)).encode())
     elif isinstance(item, Mapping):
         for key, value in item.items():

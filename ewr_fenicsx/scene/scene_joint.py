@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from ewr_fenicsx.errors import nearest
 from ewr_fenicsx.laws import contact_laws  # noqa: F401  registers the package's own laws
-from ewr_fenicsx.laws.law_kinds import Side, find_kind, known_laws, load_laws
+from ewr_fenicsx.laws.law_kinds import Side, find_kind, is_own, known_laws, load_laws
 from ewr_fenicsx.laws.mean_friction import StaticFriction
 from ewr_fenicsx.scene.scene_entries import Number, Section, entry
 
@@ -119,7 +119,7 @@ class Contact(Section):
     @property
     def acts_by_itself(self) -> bool:
         """Whether the joint moves the bodies without a load; a law of one's own may."""
-        may_press = not find_kind("normal", self.normal).__module__.startswith("ewr_fenicsx.")
+        may_press = is_own(find_kind("normal", self.normal))
         return may_press or self.initial_gap < 0 or bool(self.normal == "prescribed" and self.normal_force)
 
 
