@@ -33,8 +33,6 @@ initial_gap = {gap}
 kind = "rotation"
 speed = {rpm}
 centre = [0.0, 0.0]
-[excitation]
-frequency = 100.0
 """
 STEEL = f"{{ young = {YOUNG}, poisson = {POISSON}, density = {DENSITY} }}"
 
