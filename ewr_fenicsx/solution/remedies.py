@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
+from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 # Residual that rounding leaves, where it is in the way of usual tolerances; and times that, what it may explain
 COARSE, ROUNDING = 1e-10, 10.0
+LARGEST = 2000  # contact rows of which it is looked whether they depend on one another: a second
+INVOLVED = 1e-6  # share of a row in what is dependent, above which it is one of those
 
 
 def list_remedies(best: PeriodicSolution) -> str:
@@ -26,6 +30,11 @@ def list_remedies(best: PeriodicSolution) -> str:
         return f". Laws return infinities or NaN: look at {own}"
     if hit := best.list_hit_modes():
         return f". {hit[0].capitalize()}"
+    if alike := find_dependent_pairs(problem):
+        return (
+            f". The rows of {name_pairs(alike)} depend on one another: how they share forces is open where they stick. "
+            "Make them one pair, or give each a surface of its own, a massless coordinate behind a stiff spring"
+        )
     stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
     last = f"{stepped} shows whether the motion becomes periodic at all"
     if own:
@@ -42,3 +51,14 @@ def estimate_rounding(problem: ContactProblem) -> float:
         return 0.0
     moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
     return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
+
+
+def find_dependent_pairs(problem: ContactProblem) -> list[int]:
+    """Pairs whose contact rows are linear combinations of one another's; none where there are too many to look."""
+    system, rows = problem.system, problem.system.rows
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    if not 0 < len(rows) <= LARGEST or not np.all(sizes > 0):
+        return []
+    dependent = scipy.linalg.null_space((rows / sizes).conj().T)
+    involved = np.append(np.abs(dependent).max(axis=1, initial=0.0) > INVOLVED, False)  # the last for pairs without
+    return np.flatnonzero(np.any([involved[index] for index in system.index.values()], axis=0)).tolist()

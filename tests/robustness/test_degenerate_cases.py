@@ -13,6 +13,7 @@ from hard_cases import TOLERANCE, run_case
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.elimination import REDUNDANCY
+from ewr_fenicsx.solution.remedies import find_dependent_pairs, list_remedies
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
 
@@ -126,3 +127,39 @@ def test_identical_pairs_act_as_one(pairs, harmonics):
     np.testing.assert_allclose(many.output("tip"), one.output("tip"), atol=1e-6 * np.abs(one.output("tip")).max())
     total = many.pair_forces["normal"].sum(axis=1)
     np.testing.assert_allclose(total, one.pair_forces["normal"][:, 0], atol=1e-6 * np.abs(total).max())
+
+
+def rub_twice(springs: float) -> ContactProblem:
+    """A mass in a plane that two pads rub, their tangents turned; one of them behind springs, or on the mass itself.
+
+    The pads' normal forces rise and fall at different harmonics, so that their shares differ at every instant.
+    """
+    turned = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    to_mass, surface = np.vstack([np.eye(2), turned]), np.zeros((4, 2))
+    if springs:
+        to_mass, surface = np.hstack([to_mass, np.zeros((4, 2))]), np.zeros((4, 4))
+        to_mass[2:], surface[2:, 2:] = 0.0, np.eye(2)
+    size = to_mass.shape[1]
+    stiffness, mass = np.zeros((2, size, size))
+    stiffness[:2, :2], mass[:2, :2] = [[1.0e5, 2e4], [2e4, 1.5e5]], np.eye(2)
+    if springs:
+        apart = np.hstack([turned, -np.eye(2)])
+        stiffness += springs * apart.T @ apart
+    load = {1: np.zeros(size, dtype=complex), 2: np.zeros(size, dtype=complex)}
+    load[1][:2], load[2][:2] = [150.0, 60j], [40.0, -50.0]
+    rubs = ContactLaws("prescribed", friction=0.4, normal_force={0: 150.0, 1: 60.0, 3: 20j})
+    other = ContactLaws("prescribed", friction=0.5, normal_force={0: 90.0, 2: 35.0 - 10j})
+    model = ReducedModel(
+        mass, 2e-4 * stiffness, stiffness, normal=np.zeros((2, size)), tangential=to_mass + surface, load=load
+    )
+    return ContactProblem(model, [([0], rubs), ([1], other)], 40.0, 15)
+
+
+def test_pairs_that_depend_on_one_another_are_named_where_nothing_is_found():
+    assert find_dependent_pairs(shake_dovetail()) == []
+    assert find_dependent_pairs(DEGENERATE["one pair of six twice"]()) == [1, 2]
+    assert find_dependent_pairs(rub_twice(0.0)) == [0, 1] and find_dependent_pairs(rub_twice(1e9)) == []
+    alike, apart = (solve(rub_twice(springs)) for springs in (0.0, 1e9))  # what the remedy says changes next to nothing
+    assert apart.merit["friction_dissipation"] == pytest.approx(alike.merit["friction_dissipation"], rel=1e-3)
+    assert "The rows of pairs 0, 1 depend on one another" in list_remedies(alike)
+    assert "depend on one another" not in list_remedies(apart)
