@@ -339,7 +339,7 @@ def bound_beyond(problem: ContactProblem, modes: Sequence[int]) -> float:
     kept, model = list(modes), problem.model
     squares = np.diagonal(model.stiffness)[kept] / np.diagonal(model.mass)[kept]
     ratio = float((max(problem.driven, default=0) * problem.omega) ** 2 / squares.max())
-    return min(UNKNOWN, ratio / max(1.0 - ratio, ROUNDED))
+    return min(UNKNOWN, ratio / (1.0 - ratio)) if ratio < 1.0 else UNKNOWN
 
 
 def choose_harmonics(solution: PeriodicSolution, share: float) -> tuple[int, ...]:

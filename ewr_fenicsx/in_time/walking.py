@@ -63,12 +63,7 @@ class Walk(NamedTuple):
 
 
 def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
-    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance.
-
-    At rest without any load nothing walks: an interference may have pushed a body away.
-    """
-    if not (np.any(balance.rate) or np.any(balance.compliance.rigid_load)):
-        return False
+    """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
     left, largest = _leave_over(balance, unknowns)
     return bool(left.max() > NOTICED * largest)
 
@@ -130,7 +125,8 @@ def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArra
     The first is ``(m,)``; where a pair has two tangents, its size is at the rows of both.
     """
     held, springs = balance.static_displacement_row > 0, balance.static_displacement_row.copy()
-    if not balance.hangs_on_friction:
+    at_rest = not (np.any(balance.rate) or np.any(balance.compliance.rigid_load))  # by interference alone
+    if at_rest or not balance.hangs_on_friction:
         return np.zeros(balance.rows), 1.0
     for law, rows in zip(balance.system.laws, balance.law_rows, strict=True):
         # stronger springs than the law's are but for the start of a run

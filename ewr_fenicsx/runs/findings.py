@@ -29,7 +29,7 @@ ROUND = 256  # samples of a period, looked through for the largest motion
 
 def word_remedy(found: AccurateSolution) -> AccurateSolution:
     """The same, with what a scene can do about its limit in place of what a call can."""
-    if found.estimate.dominating == "modes":  # what the limit kept from being raised
+    if found.levels and found.estimate.dominating == "modes":  # what the limit kept from being raised
         return replace(found, remedy=f"ask for less, or raise reduction.modes above {found.levels[-1].modes}")
     return replace(found, remedy="ask for less, or give solver.harmonics in place of an accuracy")
 

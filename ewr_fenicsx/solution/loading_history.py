@@ -40,18 +40,17 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
         change = held.unpack(step.solve(step.residual))[0][0].real
     except np.linalg.LinAlgError:
         return []
-    change = np.append(change, 0.0)  # of pairs without a row, which is -1
-    along = lambda direction, pairs: change[problem.system.row_of(direction, pairs)]  # noqa: E731
-    friction = np.hypot.reduce([np.zeros(stuck.size), *(along(d, stuck) for d in problem.model.tangent_directions)])
-    carried = stuck[friction > CARRIED * limit]
     every = np.arange(problem.model.pairs)
-    normal = (
-        problem.given_force.get(0, np.zeros(every.size)).real
-        + np.append(forces[0].real, 0.0)[problem.system.row_of("normal", every)]
-    )
-    limits = np.where(np.isin(every, stuck), 0.0, problem.friction * np.maximum(0.0, normal))
-    rubs = np.hypot.reduce([np.zeros(every.size), *(along(d, every) for d in problem.model.tangent_directions)])
-    presses, slides = _matters(along("normal", every), normal), _matters(rubs * (limits > 0), limits)
+
+    def at_pairs(mean: RealArray, direction: str) -> RealArray:
+        return np.append(mean, 0.0)[problem.system.row_of(direction, every)]  # zero without a row, which is -1
+
+    friction = np.hypot.reduce([0.0 * every, *(at_pairs(change, d) for d in problem.model.tangent_directions)])
+    carried = stuck[friction[stuck] > CARRIED * limit]
+    normal = at_pairs(forces[0].real, "normal") + problem.given_force.get(0, 0.0 * every).real
+    limits = problem.friction * np.maximum(0.0, normal)
+    limits[stuck] = 0.0
+    presses, slides = _matters(at_pairs(change, "normal"), normal), _matters(friction * (limits > 0), limits)
     if not carried.size or not (presses or slides or not problem.frequency):
         return []
     what = "normal forces" if presses else "how others slide" if slides else "where they rest"
