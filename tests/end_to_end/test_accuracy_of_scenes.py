@@ -81,6 +81,18 @@ def test_modes_that_take_no_part_in_the_motion_tell_nothing_of_those_left_out(mo
     assert tips[modes].estimate.modes < 0.03
 
 
+def test_modes_are_raised_to_all_that_a_mesh_has_but_one(tmp_path, capsys):
+    """Shaken above most modes of a coarse mesh, of which no more can be had beside those known."""
+    text = read_demo("two_blocks").replace(
+        'two_blocks.py"', 'two_blocks.py"\nparameters = { pairs = 4, mesh_size = 20e-3 }'
+    )
+    text = text.replace("frequency = 1000.0", "frequency = 60000.0").replace("250.0", "20.0").split("[solver]")[0]
+    (tmp_path / "scene.toml").write_text(text + "[solver]\naccuracy = 1e-3\n", encoding="utf-8")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 0
+    most = build_chain(load_scene(tmp_path / "scene.toml")).reduction.most_modes
+    assert f"modes raised from 30 to {most - 1}" in capsys.readouterr().out
+
+
 def test_what_is_not_truncated_has_no_estimate(tmp_path, capsys):
     """Nothing oscillates: a static solve."""
     text = write_scene(tmp_path).read_text().split("[excitation]")[0]

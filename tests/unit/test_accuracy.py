@@ -262,14 +262,23 @@ def test_a_linear_problem_is_exact():
     assert found.estimate.total < 1e-14 and len(found.levels) == 1
 
 
-@pytest.mark.parametrize("outputs", [{"tip": [1.0]}, {}])
-def test_what_sticks_throughout_is_exact(outputs):
+@pytest.mark.parametrize(("outputs", "rounding"), [({"tip": [1.0]}, 0.0), ({}, 1e-12)])
+def test_what_sticks_throughout_is_exact(outputs, rounding):
     """Its motion is the rounding of what loads and friction would move: an error of 100 % was seen in that."""
     laws = ContactLaws(normal="prescribed", friction=1.0, normal_force=1.01)
     model = replace(friction_oscillator(load={1: 1.0}), outputs=outputs)
     found = solve_to_accuracy(ContactProblem(model, laws, 0.1), 0.01)
     assert np.abs(found.solution.slip_amplitudes["tangential"]).max() < 1e-12
-    assert found.reached and found.estimate.total < 1e-12 and len(found.levels) == 1
+    assert found.reached and found.estimate.total <= rounding and len(found.levels) == 1
+
+
+def test_without_outputs_forces_tell_two_joints_apart_that_stick():
+    laws = ContactLaws(normal="prescribed", friction=1.0, normal_force=2.0)
+    pushed = [
+        solve(ContactProblem(replace(friction_oscillator(load={1: load}), outputs={}), laws, 0.1))
+        for load in (1.0, 0.8)
+    ]
+    assert measure_distance(*pushed) == pytest.approx(0.25, rel=1e-9)
 
 
 @pytest.mark.parametrize("figure", ["J_T", 3])

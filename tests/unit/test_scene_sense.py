@@ -271,32 +271,6 @@ def test_interference_of_a_flank_presses_the_joint(read):
     assert any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "1e-5").doubts)
 
 
-@pytest.mark.parametrize("joint", ["initial_gap = -1e-5", 'normal = "prescribed"\nnormal_force = 10.0'])
-def test_a_joint_that_presses_by_itself_needs_no_load(read, joint):
-    at_rest = HEAD + "[contact]\n"
-    assert not read(at_rest + joint).loads
-    with pytest.raises(SceneError, match="nothing moves; add a table"):
-        read(at_rest + joint.replace("-1e-5", "1e-5").replace("10.0", "0.0"))
-
-
-def test_a_law_of_ones_own_may_press_by_itself(read, tmp_path):
-    bolt = """
-from dataclasses import dataclass
-
-from ewr_fenicsx.laws.law_kinds import LawKind, register_law
-
-
-@register_law("normal", "bolted")
-@dataclass(frozen=True, eq=False)
-class Bolted(LawKind):
-    def give_force(self, spread):
-        return {0: spread(10.0)}
-"""
-    (tmp_path / "bolt.py").write_text(bolt)
-    own = 'law_files = ["bolt.py"]\nnormal = "bolted"\ntangential = "frictionless"'
-    assert not read(HEAD + "[contact]\n" + own).loads
-
-
 def test_a_doubt_about_the_joint_is_told_once_and_where_it_stands(read):
     """Flanks that have it from [contact], or whose law does not read it, do not tell it again."""
     flanks = "[flanks.left]\nnormal = 'bonded'\n[flanks.right]\nwear = 0.0\n[wear]\n"
