@@ -136,7 +136,7 @@ def build_laws(
     masses = {
         d: choose_closing_mass(problem, pairs, layout, flexibility, d, rubs_to_hold) for d in rows if d != "normal"
     }
-    closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d]) * (masses[d] == 0) for d in masses}
+    closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d], masses[d]) for d in masses}
     clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
     total = problem.model.pairs
     group = PairGroup(pairs, total, own, weights, closing, masses, clearance, period, rubs_to_hold, stated)
@@ -159,16 +159,16 @@ def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealA
 
 
 def choose_closing(
-    problem: Statement, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray
+    problem: Statement, pairs: np.ndarray, layout: Layout, rows: np.ndarray, flexibility: RealArray, masses: RealArray
 ) -> RealArray:
-    """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero for dashpots [m/N]."""
+    """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero where none do [m/N]."""
     if not isinstance(problem.closure, str):
         return pick_pairs(problem.closure, pairs, problem.model.pairs)
-    highest = problem.basis.orders[-1]
-    if not problem.has_springs or not highest:
+    highest, others = problem.basis.orders[-1], masses == 0
+    if not (problem.has_springs and highest and np.any(others)):
         return np.zeros(pairs.size)
     wave = layout.usual_wave
-    return find_springs(layout.model, layout.rows_in(wave)[rows], flexibility, problem.omega, highest, wave)
+    return others * find_springs(layout.model, layout.rows_in(wave)[rows], flexibility, problem.omega, highest, wave)
 
 
 def choose_closing_mass(

@@ -127,14 +127,18 @@ def _list_bare(scene: Scene, problem: ContactProblem | None, joint: Joint) -> It
 
 
 def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
-    def by_law(name: str, law: str, kind: str, *, tell: str = "") -> Effect:
-        """On where some part of the joint has the law; ``tell``: another entry of that part."""
-        has = {where: laws for where, laws in joint.items() if getattr(laws, law) == kind}
-        why = [f'{w}.{law} = "{kind}"' + (f", {tell} = {getattr(c, tell):g}" if tell else "") for w, c in has.items()]
+    def by_law(name: str, law: str, *kinds: str, tell: str = "") -> Effect:
+        """On where some part of the joint has one of the laws; ``tell``: another entry of that part."""
+        has = {where: (laws, kind) for where, laws in joint.items() if (kind := getattr(laws, law)) in kinds}
+        why = [
+            f'{where}.{law} = "{kind}"' + (f", {tell} = {getattr(laws, tell):g}" if tell else "")
+            for where, (laws, kind) in has.items()
+        ]
         others = ", ".join(sorted({getattr(laws, law) for laws in joint.values()}))
         return Effect(name, bool(has), "; ".join(why) or f"{law}: {others}")
 
-    yield by_law("separation", "normal", "unilateral")
+    parting = {where: laws for where, laws in joint.items() if find_kind("normal", laws.normal).opens}
+    yield by_law("separation", "normal", *{laws.normal: None for laws in parting.values()})
     yield by_law("prescribed preload", "normal", "prescribed", tell="normal_force")
     rubbing = [laws for laws in joint.values() if laws.tangential == "coulomb" and laws.friction > 0]
     yield replace(by_law("friction", "tangential", "coulomb", tell="friction"), on=bool(rubbing))
@@ -144,7 +148,6 @@ def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
     bonds = [by_law("bonded parts", law, "bonded") for law in ("normal", "tangential")]
     yield Effect("bonded parts", any(b.on for b in bonds), "; ".join(b.why for b in bonds if b.on) or "no bonded law")
     yield by_law("frictionless flanks", "tangential", "frictionless")
-    parting = {where: laws for where, laws in joint.items() if find_kind("normal", laws.normal).opens}
     for effect, sign in (("initial gap", 1), ("interference", -1)):
         gaps = [f"{w}.initial_gap = {c.initial_gap:g} m" for w, c in parting.items() if sign * c.initial_gap > 0]
         yield Effect(effect, bool(gaps), "; ".join(gaps) or f"no initial_gap {'above' if sign > 0 else 'below'} 0 m")

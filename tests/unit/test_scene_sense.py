@@ -388,6 +388,21 @@ def test_an_accuracy_may_be_asked_of_sweeps_and_of_a_model_with_stated_modes(rea
     assert (scene.reduction.modes, scene.solver.accuracy) == (7, 0.01)
 
 
+def test_a_law_of_ones_own_that_opens_is_separation(read, tmp_path):
+    law = """
+from ewr_fenicsx.laws.law_kinds import register_law
+from ewr_fenicsx.laws.unilateral import Unilateral
+
+register_law("normal", "adhesive")(type("Adhesive", (Unilateral,), {"__module__": __name__}))
+"""
+    (tmp_path / "glue.py").write_text(law)
+    scene = read(SCENE + "[contact]\nlaw_files = ['glue.py']\nnormal = 'adhesive'\n[flanks.left]\nnormal = 'bonded'\n")
+    effects = {effect.name: effect for effect in list_effects(scene)}
+    assert (effects["separation"].on, effects["separation"].why) == (True, 'contact.normal = "adhesive"')
+    none = {effect.name: effect for effect in list_effects(scene, flanks=("left",))}["separation"]
+    assert (none.on, none.why) == (False, "normal: bonded")
+
+
 def test_with_an_accuracy_loads_may_have_any_harmonic(read):
     scene = read(SCENE.replace("harmonic = 1", "harmonic = 7") + "[solver]\naccuracy = 0.01")
     assert scene.solver.accuracy == 0.01
