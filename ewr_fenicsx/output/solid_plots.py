@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import product
 from math import ceil
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -45,6 +46,7 @@ NEAR, NORMALS = 0.27, 0.09  # how far around the pairs faces are drawn, and leng
 SIDE, FILLED = 6.0, 0.95  # of the square that a drawing is in [in], and how far it fills it
 LEFT, GAP, TOP, BELOW, LINE = 0.9, 0.7, 0.8, 0.75, 0.18  # around and between drawings, and a line of a legend [in]
 BAR = 1.1  # width that a colour bar takes [in]
+LETTERS = 10  # of a title, an inch: wide ones take as much
 TICKS = 7  # about as many numbers along the longest edge of a box
 
 
@@ -206,6 +208,8 @@ def _lay_out(figure: Figure, panels: Mapping[Axes3D, float], columns: Sequence[i
     below = BELOW + LINE * max(ceil(some / n) for some, n in zip(entries, columns, strict=True))
     total = np.array([LEFT + np.sum(widths + GAP) + beside, TOP + height + below])
     figure.set_size_inches(total)
+    for title in figure.texts:
+        title.set_text(fill(title.get_text(), int(LETTERS * total[0])))
     places = LEFT + np.cumsum(widths + GAP) - GAP - widths / 2
     for axes, place, middle, some, n in zip(panels, places, boxes.mean(axis=1), entries, columns, strict=True):
         corner = np.array([place, below + height / 2]) - SIDE * middle

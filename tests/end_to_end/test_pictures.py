@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -409,11 +410,14 @@ def test_a_solid_is_drawn_with_its_joint_and_loads(solid, monkeypatch, tmp_path)
     assert shake[1][0] > shake[0][0]
 
 
-def test_nothing_is_printed_over_anything_else_of_a_solid(solid, monkeypatch, tmp_path):
+@pytest.mark.parametrize("title", ["", "A blade that somebody had much to tell of, with all that is known: " * 2])
+def test_nothing_is_printed_over_anything_else_of_a_solid(solid, monkeypatch, tmp_path, title):
     """Numbers, names of axes, titles and legends."""
-    figure = draw_solid(monkeypatch, solid_plots.draw_mesh, tmp_path / "mesh.png", solid)
-    boxes, canvas = {}, FigureCanvasAgg(figure)
+    named = replace(solid, scene=solid.scene.model_copy(update={"title": title}))
+    figure = draw_solid(monkeypatch, solid_plots.draw_mesh, tmp_path / "mesh.png", named)
+    canvas = FigureCanvasAgg(figure)
     canvas.draw()
+    boxes = {figure._suptitle: figure._suptitle.get_window_extent(canvas.get_renderer())}
     for axes in figure.axes:
         shown = [axes.title, axes.get_legend(), *(text for text in axes.texts if text.get_text())]
         assert sum(isinstance(text, Text) and "[mm]" in text.get_text() for text in shown) == 3
