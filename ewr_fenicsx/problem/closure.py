@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
@@ -58,15 +59,15 @@ def find_own_springs(
     Nothing but springs holds a node without mass of its own: above where what these are fixed to resonates on them, its
     flexibility is positive and alike over harmonics.
     """
-    found = np.zeros(len(rows))
     try:
         far = measure_beyond(model, rows, omega, highest * FAR, wave)
     except ModelError:  # one hits an undamped mode exactly
-        return found
-    for part in np.lib.stride_tricks.sliding_window_view(far, IN_A_ROW, axis=0)[::-1]:  # the nearest counts, the last
-        size, positive = np.abs(part), np.all(part.real > np.abs(part.imag), axis=1)
-        alike = positive & (size.max(axis=1) < ALIKE * size.min(axis=1))
-        found[alike] = average(size.T)[alike]
+        return np.zeros(len(rows))
+    some = sliding_window_view(far, IN_A_ROW, axis=0)
+    size = np.abs(some)
+    alike = np.all(some.real > np.abs(some.imag), axis=2) & (size.max(axis=2) < ALIKE * size.min(axis=2))
+    nearest = size[alike.argmax(axis=0), np.arange(len(rows))]
+    found = alike.any(axis=0) * average(nearest.T)
     return np.where(found > LEAST_FAR * flexibility, found, 0.0)
 
 

@@ -103,9 +103,8 @@ class Layout:
 
     def part(self, pairs: np.ndarray) -> list[np.ndarray]:
         """Pairs parted by the directions in which unknown forces act at them, each part in the same order."""
-        acts = np.array([self.row_of(direction, pairs) >= 0 for direction in DIRECTIONS])
-        kinds, kind_of = np.unique(acts, axis=1, return_inverse=True)
-        return [pairs[kind_of.ravel() == k] for k in range(kinds.shape[1])]
+        acts = sum(2**k * (self.row_of(direction, pairs) >= 0) for k, direction in enumerate(reversed(DIRECTIONS)))
+        return [pairs[acts == kind] for kind in np.unique(acts)]
 
 
 @lru_cache(maxsize=16)
