@@ -23,8 +23,8 @@ from ewr_fenicsx.accuracy.estimates import (
     find_rate,
     measure_distance,
 )
-from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
 from ewr_fenicsx.accuracy.levels import GROWTH, Knobs, solve_first, solve_next
+from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem

@@ -7,7 +7,8 @@ the outputs; phase counts. It is estimated by single Newton steps on a neighbour
   close the truncation, twice as many, with dashpots. Those further off count as well where the open joint resonates.
 - *samples*: twice as many at the same harmonics.
 - *weight*: another ``rho_T``, which would change nothing if nothing were truncated. It adds to what harmonics do.
-- *modes*: a third fewer (``fewer_modes.py``), or what any mode beyond may do where those tell nothing.
+- *modes*: a third fewer (``modes_left_out.py``), or what any mode beyond may do where those tell nothing; and where the
+  frequencies of full stick are known, the inertia that these take.
 
 The first two cost one step if they are changed at once, and a second step on the same problem sharpens the answer; in
 large joints operator splitting gets there in less time.
@@ -26,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ewr_fenicsx.accuracy.fewer_modes import keep_fewer
 from ewr_fenicsx.accuracy.looking_ahead import approach, look_ahead, take_step
+from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses, correct_inertia, keep_fewer
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem
@@ -314,19 +315,24 @@ def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Fig
     """Error by the modes left out: one Newton step with a third of those kept left out as well, the highest.
 
     Those may take no part in the motion, and those left out may: where nothing moves without them, and where loads are
-    not far below the highest mode kept, it is what any mode beyond may do.
+    not far below the highest mode kept, it is what any mode beyond may do. Next to a resonance the least inertia counts
+    that is left out: where the frequencies of full stick are known, another step goes to the model that has them.
 
     Args:
         solution: Converged.
         modes: Which coordinates of the model are modal, by rising frequency; none: NaN, for it is not looked at. As
-            ``ModesBesideResponses`` where it has the static responses to its loads besides.
+            ``ModesBesideResponses`` where it has the static responses to its loads besides, or frequencies are known.
         figure: As in ``measure_distance``.
     """
     if not len(modes):
         return np.nan
     most = bound_beyond(solution.problem, modes)
     dropped = step_towards(solution, keep_fewer(solution.problem, modes), figure)
-    return dropped if most < NEAR and dropped > BLIND * most else max(dropped, most)
+    error = dropped if most < NEAR and dropped > BLIND * most else max(dropped, most)
+    if not (isinstance(modes, ModesBesideResponses) and modes.stuck):
+        return error
+    corrected = replace(solution.problem, model=correct_inertia(solution.problem.model, modes.stuck))
+    return max(error, step_towards(solution, corrected, figure))
 
 
 def bound_beyond(problem: ContactProblem, modes: Sequence[int]) -> float:

@@ -1,12 +1,13 @@
-"""A reduced model on some of its motions only: with bonds, or with fewer modes."""
+"""A reduced model on some of its motions only: with bonds, with fewer modes, or with its joint stuck."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import scipy.linalg
 
-from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
@@ -40,6 +41,25 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
         rigid_modes=basis.T @ rigid_modes,
         cyclic=cyclic,
     )
+
+
+def solve_stuck(
+    model: ReducedModel, wave: int = 0, count: int | None = None
+) -> tuple[RealArray, RealArray | ComplexArray]:
+    """Squared angular frequencies ``(k,)``, rising, and mass-normalised shapes ``(n, k)`` of full stick, in a wave.
+
+    Args:
+        model: Of the open joint.
+        wave: Of a ring.
+        count: How many, at most; None: all.
+    """
+    stuck = scipy.linalg.null_space(
+        np.vstack([model.rows(direction, wave) for direction in ("normal", *model.tangent_directions)])
+    )
+    stiffness, mass = (stuck.conj().T @ model.matrix(name, wave) @ stuck for name in ("stiffness", "mass"))
+    subset = None if count is None else (0, min(count, stuck.shape[1]) - 1)
+    values, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=subset)
+    return values, stuck @ vectors
 
 
 def _project(matrix: RealArray, basis: RealArray) -> RealArray:

@@ -13,13 +13,13 @@ from matplotlib.ticker import MaxNLocator
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import solve_stuck
 from ewr_fenicsx.output.gathering import Cells, gather_cells
 from ewr_fenicsx.output.mesh_plots import stretch
 from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, HEADROOM, INK, save_picture
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.mesh import rotate_by_sector
-from ewr_fenicsx.structure.projection import solve_stuck
 from ewr_fenicsx.whole_files import write_table
 
 MOST_CELLS = 150_000  # in a picture

@@ -97,11 +97,11 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
 
 
 def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
-    """What is told of a study's estimated errors, and these themselves; None where nothing is truncated, or known."""
+    """What is told of a study's estimated errors, and these themselves; None where nothing oscillates, or is known."""
     from ewr_fenicsx.accuracy.estimates import estimate_at_once
 
     chain, solution, what, rate = study.chain, study.solution, "the response", None
-    if not solution.problem.frequency or not solution.unknowns:
+    if not solution.problem.frequency:
         return [], None
     if chain.scene.wear is not None:
         from ewr_fenicsx.wear.archard import measure_wear_rate
@@ -109,7 +109,7 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
         coefficient = spread_wear(chain.scene, chain.interface)
         what, rate = "the response and the wear rate", lambda solution: measure_wear_rate(solution, coefficient)
     try:
-        estimate = estimate_at_once(solution, _list_modes(chain), rate)
+        estimate = estimate_at_once(solution, list_modes(chain), rate)
     except (EwrError, MemoryError) as error:  # the results are there, and not to be lost for it
         return [f"  its error is not known: {str(error) or 'out of memory'}"], None
     return [findings.tell_estimate(estimate, what)], findings.list_causes(estimate)
@@ -137,12 +137,16 @@ def _take_up(chain: Chain, work: Path | None, own: str) -> Chain:
     return replace(chain, reduction=replace(chain.reduction, model=model))
 
 
-def _list_modes(chain: Chain) -> Sequence[int]:
-    """Which coordinates of the reduced model are modal, and which static responses."""
-    from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
+def list_modes(chain: Chain) -> Sequence[int]:
+    """Which coordinates of the reduced model are modal, and which static responses; and what full stick knows of more.
+
+    Of a ring the frequencies of full stick are those of the reduced model.
+    """
+    from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses
 
     reduction = chain.reduction
-    return ModesBesideResponses(reduction.modal_coordinates, reduction.response_coordinates)
+    stuck = () if reduction.cuts else reduction.full_stick.frequency
+    return ModesBesideResponses(reduction.modal_coordinates, reduction.response_coordinates, stuck)
 
 
 class _Modes:
@@ -159,7 +163,7 @@ class _Modes:
     @property
     def coordinates(self) -> Sequence[int]:
         """Which coordinates of the model are modal."""
-        return _list_modes(self.chain)
+        return list_modes(self.chain)
 
     @property
     def most(self) -> int:

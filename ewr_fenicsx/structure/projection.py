@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.errors import ModesError
 from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import solve_stuck
 from ewr_fenicsx.model.ring import close_ring
 from ewr_fenicsx.structure.columns import blocks, multiply
 from ewr_fenicsx.structure.elasticity import Structure
@@ -88,23 +89,6 @@ def _project_stiffness(structure: Structure, basis: np.ndarray, boundary: np.nda
     reduced[bounding:, bounding:] = others.T @ multiply(structure.stiffness, others)
     reduced = _sum(reduced, structure.stiffness.comm.tompi4py())
     return 0.5 * (reduced + reduced.T)
-
-
-def solve_stuck(model: ReducedModel, wave: int = 0, count: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Squared angular frequencies ``(k,)``, rising, and mass-normalised shapes ``(n, k)`` of full stick, in a wave.
-
-    Args:
-        model: Of the open joint.
-        wave: Of a ring.
-        count: How many, at most; None: all.
-    """
-    stuck = scipy.linalg.null_space(
-        np.vstack([model.rows(direction, wave) for direction in ("normal", *model.tangent_directions)])
-    )
-    stiffness, mass = (stuck.conj().T @ model.matrix(name, wave) @ stuck for name in ("stiffness", "mass"))
-    subset = None if count is None else (0, min(count, stuck.shape[1]) - 1)
-    values, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=subset)
-    return values, stuck @ vectors
 
 
 def _damp_modes(model: ReducedModel, ratio: float) -> np.ndarray:

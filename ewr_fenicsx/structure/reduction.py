@@ -25,13 +25,14 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.errors import InterfaceError, ModesError
 from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import solve_stuck
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.boundaries import list_dofs
 from ewr_fenicsx.structure.columns import blocks, factorise, multiply, stack_columns
 from ewr_fenicsx.structure.elasticity import Structure
 from ewr_fenicsx.structure.interface import Interface
 from ewr_fenicsx.structure.modes import Modes, full_stick_modes, group_equal, orient_modes, solve_modes
-from ewr_fenicsx.structure.projection import project, solve_stuck
+from ewr_fenicsx.structure.projection import project
 from ewr_fenicsx.structure.rigid_motions import find_rigid_motions
 from ewr_fenicsx.structure.sector_cuts import SectorCuts, list_boundary
 

@@ -11,9 +11,9 @@ from small_models import lift_off_oscillator, random_structure
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import levels
 from ewr_fenicsx.accuracy.estimates import estimate_errors, estimate_modes, measure_distance
-from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
+from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses, correct_inertia
 from ewr_fenicsx.errors import NotConverged
-from ewr_fenicsx.model.restriction import restrict
+from ewr_fenicsx.model.restriction import restrict, solve_stuck
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 
 
@@ -139,6 +139,32 @@ def test_static_responses_beside_the_modes_take_the_place_of_the_highest():
     beside = estimate_modes(solution, ModesBesideResponses(range(6, 10), ()))
     assert missed > 0.01 and beside < 1e-4
     assert beside > 0, "what the mode does besides is looked at"
+
+
+def test_inertia_that_is_lacking_makes_full_stick_as_slow_as_it_is():
+    model = structure_with_modes(0.5, 1.0, 1e4)
+    squares, shapes = solve_stuck(model, count=3)
+    asked = np.sqrt(squares * [0.99, 1.0, 0.9]) / (2 * np.pi)
+    corrected = correct_inertia(model, tuple(asked))
+    found, turned = solve_stuck(corrected)
+    np.testing.assert_allclose(found[:3], squares * [0.99, 1.0, 0.9], rtol=1e-10)
+    np.testing.assert_allclose(found[3:], solve_stuck(model)[0][3:], rtol=1e-10)
+    aligned = np.abs(np.sum(turned[:, :3] * (model.mass @ shapes), axis=0))
+    np.testing.assert_allclose(aligned, np.sqrt([0.99, 1.0, 0.9]), rtol=1e-10, err_msg="the shapes are as before")
+    np.testing.assert_array_equal(corrected.stiffness, model.stiffness)
+    assert np.linalg.eigvalsh(corrected.mass - model.mass)[0] > -1e-12, "no mode has less inertia"
+
+
+def test_next_to_a_resonance_the_frequencies_of_full_stick_tell_what_modes_are_lacking():
+    """Dropping modes moves the resonance by far less than those do that there never were."""
+    full = structure_with_modes(0.5, 1.0, 40.0, 60.0, 2.0, 3.0)
+    stuck = np.sqrt(solve_stuck(full, count=3)[0]) / (2 * np.pi)
+    few = drop_modes(full, (10, 11))
+    posed = (ContactProblem(model, ContactLaws(friction=5.0), 0.999 * stuck[0], 3) for model in (full, few))
+    whole, lacking = map(solve, posed)
+    true, modes = measure_distance(lacking, whole), range(6, 10)
+    without, told = (estimate_modes(lacking, ModesBesideResponses(modes, (), known)) for known in ((), stuck))
+    assert 4 * without < true / 3 < told < 3 * true
 
 
 def test_modes_that_are_too_few_are_the_limit():

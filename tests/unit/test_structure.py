@@ -40,7 +40,7 @@ ORDER = {
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
         "at_rest", "initial_states", "time_integration", "growing_load", "faint_forces", "weights", "newton",
     ],
-    "accuracy": ["looking_ahead", "fewer_modes", "estimates", "levels", "accuracy", "solving", "cost"],
+    "accuracy": ["looking_ahead", "modes_left_out", "estimates", "levels", "accuracy", "solving", "cost"],
     "response": [
         "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep",
     ],

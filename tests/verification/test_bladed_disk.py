@@ -16,8 +16,8 @@ import pytest
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, load_scene, solve, unroll_ring
 from ewr_fenicsx.errors import MeshError, SceneError
+from ewr_fenicsx.model.restriction import solve_stuck
 from ewr_fenicsx.structure.chain import build_chain
-from ewr_fenicsx.structure.projection import solve_stuck
 from ewr_fenicsx.structure.sector_cuts import find_cuts
 
 TESTS = Path(__file__).parents[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import tracemalloc
+from dataclasses import replace
 from itertools import pairwise
 from math import pi
 from pathlib import Path
@@ -20,8 +21,9 @@ from sparse_matrices import to_scipy
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.accuracy.estimates import estimate_modes, measure_distance
-from ewr_fenicsx.accuracy.fewer_modes import ModesBesideResponses
+from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses
 from ewr_fenicsx.errors import InterfaceError, ModesError
+from ewr_fenicsx.runs.study import list_modes
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
@@ -426,3 +428,22 @@ def test_the_error_by_modes_is_that_of_a_reduction_with_fewer(tmp_path):
     assert estimate_modes(solution, modes) > 30 * true, (
         "without a word of the responses the modes are missed altogether"
     )
+
+
+@pytest.mark.parametrize(
+    ("laws", "mode", "modes"), [("friction = 0.3", 1, 8), ('normal = "bonded"\ntangential = "bonded"', 2, 8)]
+)
+def test_the_error_by_modes_next_to_a_resonance(tmp_path, laws, mode, modes):
+    """Where pairs slip, and of a linear joint: what moves the resonance are modes that were never kept."""
+    text = read_demo("two_blocks").replace("harmonics = 9", "harmonics = 3").replace("friction = 0.3", laws)
+    found, listed = {}, None
+    for count in (120, modes):
+        (tmp_path / "scene.toml").write_text(f"{text}\n[reduction]\nmodes = {count}\n")
+        scene = load_scene(tmp_path / "scene.toml", warn=False)
+        chain = build_chain(scene)
+        frequency = 0.999 * chain.reduction.full_stick.frequency[mode - 1]
+        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        found[count], listed = solve(replace(problem, frequency=frequency)), list_modes(chain)
+    true = measure_distance(found[modes], found[120])
+    assert true / 3 < estimate_modes(found[modes], listed) < 3 * true
+    assert estimate_modes(found[modes], ModesBesideResponses(listed, listed.responses)) < true / 3

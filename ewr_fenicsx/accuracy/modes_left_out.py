@@ -1,14 +1,20 @@
-"""A problem on fewer modes than its reduced model keeps, by which the error of those left out is estimated."""
+"""Problems beside one on a reduced model, by which the error of the modes that it leaves out is estimated.
+
+One has fewer modes. Where the frequencies of the whole structure are known that it has while its joint sticks, another
+has the inertia that these take: what the modes left out add to the motions that those kept have in common.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.model.restriction import restrict
+from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import restrict, solve_stuck
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 
 MODES_DROPPED = 1 / 3
@@ -20,13 +26,17 @@ class ModesBesideResponses(tuple[int, ...]):
 
     Attributes:
         responses: Coordinates of these. They lack what the modes do: with fewer modes they would respond for more.
+        stuck: Lowest frequencies of the whole structure while its joint sticks, rising, as far as they are known [Hz].
     """
 
     responses: tuple[int, ...]
+    stuck: tuple[float, ...]
 
-    def __new__(cls, modes: Iterable[int], responses: Iterable[int]) -> ModesBesideResponses:
+    def __new__(
+        cls, modes: Iterable[int], responses: Iterable[int], stuck: Iterable[float] = ()
+    ) -> ModesBesideResponses:
         made = super().__new__(cls, modes)
-        made.responses = tuple(responses)
+        made.responses, made.stuck = tuple(responses), tuple(stuck)
         return made
 
 
@@ -45,6 +55,21 @@ def keep_fewer(problem: ContactProblem, modes: Sequence[int]) -> ContactProblem:
     basis = np.hstack([np.delete(np.eye(model.size), fewer, axis=1), responses])
     load = None if problem.load is None else {h: basis.T @ f for h, f in problem.load.items()}
     return replace(problem, model=restrict(model, basis, model.rigid_modes), load=load)
+
+
+@lru_cache(maxsize=2)
+def correct_inertia(model: ReducedModel, stuck: tuple[float, ...]) -> ReducedModel:
+    """The model with the inertia that gives it the frequencies ``stuck`` while its joint sticks [Hz].
+
+    The shapes ``psi`` of its own modes of full stick, of unit stiffness, stay its modes:
+    ``M + K psi (1 / w^2 - 1 / w_r^2) psi^T K``, with ``w_r`` the model's own frequencies, which are never below ``w``.
+    Whatever rests is as before.
+    """
+    squares, shapes = solve_stuck(model, count=len(stuck))
+    exact = (2 * np.pi * np.array(stuck[: squares.size])) ** 2
+    lack = np.divide(1 - exact / squares, exact * squares, out=np.zeros_like(exact), where=exact * squares > 0)
+    pushed = model.stiffness @ shapes * np.sqrt(np.maximum(lack, 0.0))
+    return replace(model, mass=model.mass + pushed @ pushed.T)
 
 
 def respond(problem: ContactProblem, coordinates: Sequence[int]) -> RealArray:
