@@ -12,7 +12,7 @@ from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if
 # all that moves moved it (an output that is zero by symmetry), or by what the load alone would move in a step (nothing
-# moves where all sticks).
+# moves where all sticks). Where no load oscillates, what still moves is rounding beside where all is.
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
 _WINDOW = 6  # periods that the extrapolation looks back on
@@ -44,6 +44,7 @@ class Watch:
         self.earlier: list[RealArray] = []
         self.second_change = np.inf
         self.reach = np.linalg.norm(self.readers, axis=1)  # modes have a unit of inertia each
+        self.rests = not any(scheme.problem.driven)
         self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
 
     def measure_change(self, period: Period) -> float:
@@ -59,6 +60,7 @@ class Watch:
             (_CANCELLED, total(np.abs(modal - modal.mean(axis=0)) @ weight)),
             (_ROUNDED, total(np.abs(modal) @ weight)),
             (_ROUNDED, total(np.sqrt(modal.var(axis=0).sum()) * self.reach[None])),
+            (_ROUNDED * self.rests, total(np.sqrt(np.mean(modal**2, axis=0).sum()) * self.reach[None])),
             (_ROUNDED, total(self.pushed)),
         ):
             scale = np.maximum(scale, share**2 * size)

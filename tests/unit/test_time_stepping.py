@@ -349,12 +349,32 @@ def test_what_sticks_from_rest_is_steady(stiffness, mean, start):
     assert not gliding.converged, "the first periods of what moves are none of the steady state"
 
 
+def test_a_joint_at_rest_is_steady_though_its_pairs_move_by_rounding():
+    """Two bodies on springs, pressed on each other over four massless nodes: pairs ring by 1e-11 of where all is."""
+    rng = np.random.default_rng(6)
+    body = np.diag([1.0, 1.2, 0.8, 1.5, *np.zeros(8)])
+    stiffness = 1e5 * np.diag([0.5, 0.7, 0.4, 0.9, *np.zeros(8)])
+    normal, tangential = np.zeros((2, 4, 12))
+    for pair, at in enumerate(range(4, 12, 2)):
+        mount, turn = np.zeros((2, 12)), rng.normal(size=(2, 2))
+        mount[:, :2], mount[:, at : at + 2] = -np.eye(2), np.eye(2)
+        stiffness += mount.T @ (1e5 * (turn @ turn.T / 2 + 0.5 * np.eye(2))) @ mount
+        normal[pair, [at, 2]], tangential[pair, [at + 1, 3]] = (-1, 1), (-1, 1)
+    load = {0: np.array([20.0, 3.0, -60.0, 3.0, *np.zeros(8)])}
+    pressed = ReducedModel(body, 3e-4 * stiffness + 8 * body, stiffness, normal, tangential, load)
+    pressed = replace(pressed, outputs={f"x{i}": np.eye(12)[i] for i in range(12)})
+    steady = integrate(ContactProblem(pressed, ContactLaws(friction=0.3), 37.0), "rest", 800, 50)
+    assert steady.converged and steady.periods == 2, steady.summary()
+    pairs = steady.history("normal_force")
+    assert np.all(pairs > 0) and 0 < np.ptp(steady.output_history("x0")) < 1e-10 * abs(steady.output_history("x0")[0])
+
+
 @pytest.mark.parametrize(("mean", "swing"), [(0.0, 1.0), (1e3, 0.0)], ids=["oscillations", "means"])
 def test_what_modes_leave_where_they_cancel_is_judged_by_them(mean, swing):
     """Two modes that move a pair to and fro, or hold it, against each other: what is left changes in all its digits."""
     rng, noise, still = np.random.default_rng(0), 1e-5 if swing else 1e-9, np.zeros((33, 2))
     scheme = SimpleNamespace(
-        problem=SimpleNamespace(model=SimpleNamespace(outputs={})),
+        problem=SimpleNamespace(model=SimpleNamespace(outputs={}), driven=(1,)),
         rows=np.ones((1, 2)), mass=np.ones(2), dt=0.1, velocity_of_load=still,
     )  # fmt: skip
     watch = Watch(scheme)
