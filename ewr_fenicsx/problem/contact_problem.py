@@ -75,6 +75,7 @@ class ContactProblem:
                 f"frequency = {self.frequency} Hz; give a positive one from {LOWEST_FREQUENCY:g} to "
                 f"{HIGHEST_FREQUENCY:g} Hz, zero where nothing oscillates"
             )
+        object.__setattr__(self, "frequency", float(self.frequency))  # of few digits it would spoil all that follows
         if self.generalised_inverse not in (known := get_args(GeneralisedInverse)):
             raise ModelError(f"generalised_inverse = {self.generalised_inverse!r}; choose one of {', '.join(known)}")
         if isinstance(self.closure, str) and self.closure not in (known := get_args(Closure)):

@@ -211,14 +211,15 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
         orders = tuple(sorted(harmonics))
     if not orders or orders[0] < 0 or len(set(orders)) != len(orders) or not all(is_whole(h) for h in orders):
         raise ModelError(f"harmonics = {harmonics!r}; give distinct whole numbers from 0")
+    orders = tuple(int(h) for h in orders)  # the double of one of few bits may be another number
     if orders[-1] > HIGHEST:
         raise ModelError(f"harmonics up to {orders[-1]:g}; give none above {HIGHEST}")
     if samples is None:
-        samples = max(128, round_up(32 * int(orders[-1]))) if orders[-1] else 1
+        samples = max(128, round_up(32 * orders[-1])) if orders[-1] else 1
     if not isinstance(samples, (int, np.integer)):
         raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, or None")
     if samples <= 2 * orders[-1]:
         raise ModelError(
             f"samples = {samples} cannot resolve harmonic {orders[-1]}; give at least {2 * orders[-1] + 1}"
         )
-    return FourierBasis(tuple(int(h) for h in orders), int(samples))
+    return FourierBasis(orders, int(samples))

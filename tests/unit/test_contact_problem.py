@@ -16,6 +16,7 @@ from ewr_fenicsx.laws.coulomb import Coulomb
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.laws.unilateral import Signorini
 from ewr_fenicsx.problem.composition import compose
+from ewr_fenicsx.problem.harmonics import select_basis
 
 PAIRS, COORDINATES, RIGID, N = 6, 26, 3, 4
 FULL = 2 * N + 1  # real coefficients a row
@@ -299,6 +300,18 @@ def test_problems_that_make_no_sense_are_refused(changes, message):
 def test_laws_that_do_not_fit_the_model_are_refused(model, laws, message):
     with pytest.raises(ModelError, match=message):
         ContactProblem(model, laws, 0.1).system  # noqa: B018
+
+
+def test_numbers_of_few_digits_cost_no_digits():
+    """What is computed from them would have as few in NumPy 2; and the double of an order may be another number."""
+    posed = [
+        ContactProblem(friction_oscillator(), ContactLaws("prescribed", normal_force=1.0), kind(0.125), 3)
+        for kind in (np.float16, np.float32, float)
+    ]
+    assert [(type(p.frequency), p.omega) for p in posed] == 3 * [(float, 0.25 * np.pi)]
+    assert select_basis(np.array([1, 200], dtype=np.uint8), 401).orders == (1, 200)
+    with pytest.raises(ModelError, match="samples = 300 cannot resolve harmonic 200; give at least 401"):
+        select_basis(np.array([1, 200], dtype=np.uint8), 300)
 
 
 def test_a_pair_that_nothing_can_move_is_named():
