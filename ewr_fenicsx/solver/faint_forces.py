@@ -14,10 +14,10 @@ from ewr_fenicsx.solver.snes import TIGHTEST, Attempt, LinearSolver, run_newton
 # loose, or so many times the tolerance
 OWN_SHARE, LOOSE_SHARE, LOOSELY = 1e5, 1e-2, 100.0
 LAST_STEPS = 10  # Newton steps to get there
-HELD_SHARE = 1e-3  # the same of what springs would do that hold a pair in place, had it moved by all that it bends
 # Times the tolerance that the mean friction of a pair that sticks throughout may be off, over all forces: little tells
-# of it.
-MEAN_SHARE = 100.0
+# of it. The same of what springs would do that hold a pair in place, had it moved by all that it bends; no more than a
+# share of that where tolerances are loose.
+MEAN_SHARE, HELD_SHARE = 100.0, 1e-3
 
 
 def attend_to_faint_forces(
@@ -54,7 +54,8 @@ def find_missed(balance: HarmonicBalance, unknowns: RealArray, tolerance: float)
     missed = [least[~(np.linalg.norm(left[mean:], axis=0) <= least)]]
     if mean and np.any(balance.held):
         springs = balance.static_displacement_row * balance.system.flexibility
-        least = np.maximum(HELD_SHARE * springs * np.linalg.norm(own, axis=0), TIGHTEST)
+        share = min(HELD_SHARE, MEAN_SHARE * tolerance)
+        least = np.maximum(share * springs * np.linalg.norm(own, axis=0), TIGHTEST)
         missed.append(least[balance.held & ~(np.abs(left[0]) <= least)])
     if mean:
         share = MEAN_SHARE * tolerance * balance.static_row * balance.static_force_row

@@ -161,6 +161,17 @@ def test_every_time_step_obeys_coulomb_s_law_in_the_plane():
     np.testing.assert_allclose(work[sliding], -(size * speed)[sliding], rtol=1e-6)
 
 
+@pytest.mark.parametrize("seed", [3, 25, 26])
+def test_what_is_held_at_rest_in_a_plane_is_where_a_tighter_tolerance_has_it(seed):
+    """The weak springs that hold a pair also tell which way it slides."""
+    joint, rng = random_structure(size=12, pairs=3, tangents=2, seed=seed), np.random.default_rng(seed)
+    joint = replace(joint, load={0: -20 * joint.normal.sum(axis=0) + 5 * rng.normal(size=12)})
+    problem = ContactProblem(joint, ContactLaws(friction=0.3, static_friction="held"), 0.0)
+    found, closer = (solve(replace(problem), tolerance=tolerance) for tolerance in (1e-8, 1e-13))
+    moved, expected = found.coordinates[0].real, closer.coordinates[0].real
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
 def test_names_of_second_histories_are_known_in_space_alone():
     plane, space = (
         solve(ContactProblem(friction_oscillator(), ContactLaws("prescribed", normal_force=1.0), 0.1, 1)),
