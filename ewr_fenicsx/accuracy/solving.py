@@ -73,16 +73,14 @@ def solve(
     return replace(found.solution, estimated_error=found.estimate.total, short=short)
 
 
-def tell_error(
-    solution: PeriodicSolution, what: str = "the outputs", remedy: str = REMEDY, figure: Figure | None = None
-) -> str:
+def tell_error(solution: PeriodicSolution, what: str = "", remedy: str = REMEDY, figure: Figure | None = None) -> str:
     """How far off a solution is thought to be that no accuracy was asked of, for people; "" where nothing is left out.
 
     What its reduced model lacks, modes and mesh, is not in it.
 
     Args:
         solution: Converged.
-        what, remedy: As ``ErrorEstimate.tell`` has them.
+        what, remedy: As ``ErrorEstimate.tell`` has them; "": the outputs, or where there are none the pairs.
         figure: What is looked at beside the outputs, as in ``estimate_errors``.
     """
     if not solution.problem.frequency or not solution.unknowns:
@@ -91,4 +89,5 @@ def tell_error(
         estimate = estimate_at_once(solution, figure=figure)
     except (EwrError, MemoryError) as error:  # the solution is there, and not to be lost for it
         return f"its error is not known: {str(error) or 'out of memory'}"
-    return estimate.tell(what, remedy)
+    seen = "the outputs" if solution.problem.model.outputs else "motions and forces at the pairs"
+    return estimate.tell(what or seen, remedy)

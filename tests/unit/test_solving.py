@@ -48,6 +48,11 @@ def test_a_summary_tells_the_error_within_a_factor_of_five_and_a_remedy_where_it
     assert np.isnan(solution.estimated_error)
 
 
+def test_without_outputs_it_is_the_pairs_whose_error_is_told():
+    silent = replace(JOINT, model=replace(JOINT.model, outputs={}))
+    assert "estimated error of motions and forces at the pairs " in solve(silent).summary()
+
+
 def test_what_cannot_be_estimated_is_said_and_nothing_is_said_of_what_is_exact(monkeypatch):
     bonded = replace(JOINT, laws=ContactLaws(normal="bonded", tangential="bonded"))
     assert "error" not in solve(bonded).summary()
