@@ -174,10 +174,12 @@ def _state(
     toward = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(tangential_motion)]
     cone = sparse.csr_matrix((-friction[rubs], (np.arange(rubs.size), rubs)), (rubs.size, k))
     parts = [sparse.kron(np.ones((angle.size, 1)), cone), sparse.kron(toward, sparse.identity(rubs.size))]
+    limits = np.tile(limit[rubs] / size, angle.size)
+    bounded = np.isfinite(limits)  # what carries any force has no limit
     return _Program(
         np.hstack([normal_motion.T, *(motion[rubs].T for motion in tangential_motion)]),
-        sparse.hstack(parts) if rubs.size else sparse.csr_matrix((0, k)),
-        np.tile(limit[rubs] / size, angle.size),
+        sparse.hstack(parts, format="csr")[bounded] if rubs.size else sparse.csr_matrix((0, k)),
+        limits[bounded],
         [(low / size, high / size) for low, high in bounds] + [(-np.inf, np.inf)] * (toward.shape[1] * rubs.size),
         rigid_load / size,
     )

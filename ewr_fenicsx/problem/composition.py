@@ -14,7 +14,15 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.contact_laws import ContactLaws
-from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, PairGroup, choose_friction_weight, spread_over_pairs
+from ewr_fenicsx.laws.law_kinds import (
+    DIRECTIONS,
+    Law,
+    LawKind,
+    MeanBound,
+    PairGroup,
+    choose_friction_weight,
+    spread_over_pairs,
+)
 from ewr_fenicsx.model.compliance import DynamicCompliance, condense
 from ewr_fenicsx.model.receptance import GeneralisedInverse, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
@@ -220,8 +228,20 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
         seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
     smallest, largest, friction, rubs = np.zeros((4, K))
     for pairs, laws in problem.groups:
-        normal, tangential = (k.bound_mean(lambda v, p=pairs: spread_over_pairs(v, p, K)) for k in laws.kinds)
+        normal, tangential = (bound_mean(kind, pairs, K) for kind in laws.kinds)
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
     return takes_friction(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
+
+
+def bound_mean(kind: LawKind, pairs: np.ndarray, total: int) -> MeanBound:
+    """Mean force that a kind can carry at some pairs of ``total``.
+
+    Raises:
+        ModelError: It says something else.
+    """
+    given = kind.bound_mean(lambda value: spread_over_pairs(value, pairs, total))
+    if not isinstance(given, MeanBound):
+        raise ModelError(f"{type(kind).__name__}.bound_mean returns {given!r}; give a MeanBound(smallest, largest)")
+    return given

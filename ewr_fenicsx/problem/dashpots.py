@@ -25,7 +25,8 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     """``(K_c,)`` weights ``rho_T`` that close the truncation: each pair's mobility at the first harmonics left out.
 
     Geometric mean over some of them, for a single one may hit a resonance; with two tangents, of a size that does not
-    depend on where they point. None without friction [(m/s)/N].
+    depend on where they point. Laws that give way by themselves before they slip keep theirs. None without friction
+    [(m/s)/N].
     """
     if read_weight(problem, "tangential") is None:
         return None
@@ -36,7 +37,7 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     wave = system.layout.usual_wave
     measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond, wave)  # noqa: E731
     for law in system.laws:
-        if law.direction == "tangential" and hasattr(law, "rho"):
+        if law.direction == "tangential" and hasattr(law, "rho") and not np.any(law.stick_flexibility):
             at = [system.row_of(direction, law.pairs) for direction in problem.model.tangent_directions]
             along = [system.layout.rows_in(wave)[rows] for rows in at if np.all(rows >= 0)]
             own = [measure(rows) for rows in along]

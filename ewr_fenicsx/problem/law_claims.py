@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from reprlib import repr as shorten
 from typing import get_args
 
@@ -71,6 +72,19 @@ def check_corners(law: Law) -> None:
 def _lacks(law: Law, method: str) -> bool:
     """Whether a law has nothing of its own in place of a method of the protocol."""
     return getattr(getattr(law, method), "__func__", None) is getattr(Law, method)
+
+
+def check_fields(law: Law, reported: object) -> None:
+    """Refuses what a law reports besides its force, where it is no dictionary.
+
+    Raises:
+        ModelError: Something else.
+    """
+    if not isinstance(reported, Mapping):
+        raise ModelError(
+            f"{type(law).__name__}.fields returns {shorten(reported)}; give a dictionary, name -> values of shape "
+            "(instants, pairs)"
+        )
 
 
 def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:

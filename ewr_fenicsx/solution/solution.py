@@ -239,7 +239,7 @@ class PeriodicSolution(PeriodicMotion):
 
     def _find_unmet(self, harmonics: Sequence[int]) -> tuple[float, int]:
         """What the laws ask for at harmonics without forces, over all oscillating forces: the largest, and where."""
-        if not harmonics or not self.problem.system.laws or not np.any(self.forces):
+        if not harmonics or not self.problem.system.laws:
             return 0.0, 0
         balance, wave = self._pose()[0], FourierBasis(tuple(harmonics), self.problem.basis.samples)
         seen = balance.sample(self.forces, self.row_motion)

@@ -331,7 +331,10 @@ def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
         except np.linalg.LinAlgError:
             return Attempt(unknowns, float(np.linalg.norm(step.residual)), 0, "the linear problem is singular", False)
     residual = float(np.linalg.norm(balance.residual(unknowns)))
-    return Attempt(unknowns, residual, 0, "linear", residual <= tolerance)
+    if residual <= tolerance:
+        return Attempt(unknowns, residual, 0, "linear", True)
+    names = " and ".join(dict.fromkeys(type(law).__name__ for law in balance.system.laws))
+    return Attempt(unknowns, residual, 0, f"one linear solve does not do: is linear = True right of {names}?", False)
 
 
 def leave_default_weights(

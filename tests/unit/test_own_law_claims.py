@@ -118,6 +118,13 @@ def test_a_law_that_is_said_to_be_odd_and_is_not_is_told():
     assert "which was left out by symmetry: is odd = True right of ClaimedSpring" in told
 
 
+def test_a_law_of_even_harmonics_alone_that_is_said_to_be_odd_is_told():
+    """Without them it has no force at all."""
+    claimed = solve(spring_along("claimed spring", linear=0.0, square=0.5))
+    assert not np.any(claimed.forces)
+    assert any("which was left out by symmetry: is odd = True right of ClaimedSpring" in c for c in claimed.cautions)
+
+
 @pytest.mark.parametrize("load", [0.0, 1.0])
 def test_a_law_that_is_odd_as_it_says_goes_without_a_word(load):
     solution = solve(spring_along("claimed spring", load, cubic=0.5))
@@ -147,7 +154,10 @@ def test_a_pair_that_is_open_slides_whatever_its_friction_leaves_unsaid():
     assert 0.1 < is_open.mean() < 0.9
 
 
-@pytest.mark.parametrize("bounds, holds", [((-1.0, 1.0), True), ((0.0, 1.0), False), ((-1.0, 0.0), False)])
+@pytest.mark.parametrize(
+    "bounds, holds",
+    [((-1.0, 1.0), True), ((0.0, 1.0), False), ((-1.0, 0.0), False), ((-np.inf, np.inf), True)],
+)
 def test_a_law_holds_a_floating_body_by_what_it_carries_either_way(bounds, holds):
     """Which way it must is not known before the state is."""
     floating = friction_oscillator(stiffness=0.0, damping=0.1, load={0: 0.5, 1: 1.0})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -96,6 +96,26 @@ def test_laws_that_make_no_sense_are_refused(laws, message, monkeypatch):
 def test_kinds_that_make_no_sense_are_refused(fields, message, monkeypatch):
     with pytest.raises(ModelError, match=message):
         solve(pose(dataclass(make_kind(damper(), **fields)), monkeypatch))
+
+
+def test_what_a_law_reports_is_a_dictionary(monkeypatch):
+    law = damper(fields=lambda self, motion: ["warmth"])
+    with pytest.raises(ModelError, match=r"Damper\.fields returns \['warmth'\]; give a dictionary, name -> values"):
+        solve(pose(dataclass(make_kind(law)), monkeypatch)).merit  # noqa: B018
+
+
+def test_a_bound_of_the_mean_is_told_as_one(monkeypatch):
+    """It is asked for where a body floats."""
+    problem = pose(dataclass(make_kind(damper(), bound_mean=lambda self, spread: (-1.0, 1.0))), monkeypatch)
+    floating = friction_oscillator(stiffness=0.0, damping=0.1)
+    with pytest.raises(ModelError, match=r"Kind\.bound_mean returns \(-1\.0, 1\.0\); give a MeanBound\(smallest"):
+        solve(replace(problem, model=floating))
+
+
+def test_a_law_that_is_not_linear_as_it_says_is_named(monkeypatch):
+    law = damper(linear=True, **answer(lambda r: r._replace(residual=r.residual + r.residual**3)))
+    with pytest.raises(NotConverged, match="one linear solve does not do: is linear = True right of Damper"):
+        solve(pose(dataclass(make_kind(law)), monkeypatch))
 
 
 def test_states_that_a_law_tells_as_numbers_count_as_well(monkeypatch):

@@ -24,6 +24,7 @@ from test_jenkins import AMPLITUDES, LIMIT, SPRING, SUPPORT, drive, exact_force,
 
 import ewr_fenicsx
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.laws.coulomb import Coulomb
@@ -159,6 +160,26 @@ def test_a_floating_body_may_hang_on_it_up_to_its_limit():
     assert solution.output("tip")[0].real == pytest.approx(0.5 * LIMIT / SPRING, rel=1e-6)
     with pytest.raises(UnheldBody, match="nothing holds a floating body: 50% of the mean load"):
         solve(ContactProblem(free(2 * LIMIT), jenkins(), 0.1, 3))
+
+
+@pytest.mark.parametrize("frequency", [158.0, 162.0])
+def test_an_accuracy_holds_with_a_law_that_gives_way_by_itself(frequency):
+    """Its weight is not the bare pair's mobility. Against Coulomb's law at a massless node behind the same spring."""
+    law = ContactLaws("prescribed", "jenkins", normal_force=0.0, parameters={"spring": 2e6, "limit": 30.0})
+    model = ReducedModel([[1.0]], [[20.0]], [[1e6]], tangential=[[1.0]], load={1: [100.0]}, outputs={"x": [1.0]})
+    behind = ReducedModel(
+        np.diag([1.0, 0.0]),
+        np.diag([20.0, 0.0]),
+        [[3e6, -2e6], [-2e6, 2e6]],
+        tangential=[[0.0, 1.0]],
+        load={1: [100.0, 0.0]},
+        outputs={"x": [1.0, 0.0]},
+    )
+    rubs = ContactLaws("prescribed", normal_force=100.0, friction=0.3)
+    exact = solve(ContactProblem(behind, rubs, frequency, 40, closure="spring"))
+    found = solve(ContactProblem(model, law, frequency), accuracy=0.01)
+    true = measure_distance(found, exact)
+    assert not found.short and true < 0.025 and true / 3 < found.estimated_error < 3 * true
 
 
 def test_a_survey_of_its_weight_begins_at_the_one_that_it_has():
