@@ -18,7 +18,7 @@ from ewr_fenicsx.model.restriction import restrict, solve_stuck
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 
 MODES_DROPPED = 1 / 3
-_NOTHING = 1e-10  # of responses to loads, over the largest, below which one is another one's rounding
+_NOTHING = 1e-10  # of responses to loads, and of squared frequencies, over the largest, below which one is rounding
 
 
 class ModesBesideResponses(tuple[int, ...]):
@@ -63,11 +63,12 @@ def correct_inertia(model: ReducedModel, stuck: tuple[float, ...]) -> ReducedMod
 
     The shapes ``psi`` of its own modes of full stick, of unit stiffness, stay its modes:
     ``M + K psi (1 / w^2 - 1 / w_r^2) psi^T K``, with ``w_r`` the model's own frequencies, which are never below ``w``.
-    Whatever rests is as before.
+    Whatever rests is as before; so are motions that not even a stuck joint holds.
     """
     squares, shapes = solve_stuck(model, count=len(stuck))
     exact = (2 * np.pi * np.array(stuck[: squares.size])) ** 2
-    lack = np.divide(1 - exact / squares, exact * squares, out=np.zeros_like(exact), where=exact * squares > 0)
+    held = np.minimum(exact, squares) > _NOTHING * squares[-1]
+    lack = np.divide(1 - exact / squares, exact * squares, out=np.zeros_like(exact), where=held)
     pushed = model.stiffness @ shapes * np.sqrt(np.maximum(lack, 0.0))
     return replace(model, mass=model.mass + pushed @ pushed.T)
 

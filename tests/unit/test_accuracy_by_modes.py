@@ -155,6 +155,15 @@ def test_inertia_that_is_lacking_makes_full_stick_as_slow_as_it_is():
     assert np.linalg.eigvalsh(corrected.mass - model.mass)[0] > -1e-12, "no mode has less inertia"
 
 
+def test_what_not_even_a_stuck_joint_holds_keeps_its_inertia():
+    """A body that turns about its only pair: its frequency is rounding, here 3e-9 Hz and 1e-9 Hz."""
+    stiffness = [[4e-16, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 3.0]]
+    model = ReducedModel(np.eye(3), np.zeros((3, 3)), stiffness, normal=[[0.0, 1.0, 0.0]], rigid_modes=np.eye(3)[:, :1])
+    corrected = correct_inertia(model, (1e-9, 0.9 * np.sqrt(3) / (2 * np.pi)))
+    np.testing.assert_allclose(corrected.mass[0], [1.0, 0.0, 0.0])
+    assert corrected.mass[2, 2] == pytest.approx(1 / 0.81)
+
+
 def test_next_to_a_resonance_the_frequencies_of_full_stick_tell_what_modes_are_lacking():
     """Dropping modes moves the resonance by far less than those do that there never were."""
     full = structure_with_modes(0.5, 1.0, 40.0, 60.0, 2.0, 3.0)
