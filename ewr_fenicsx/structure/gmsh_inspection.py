@@ -1,6 +1,7 @@
 """What must hold of a gmsh model before dolfinx sees it: cells of one type, none inverted, in named bodies.
 
-dolfinx 0.5 ends with a segmentation fault on a mesh of triangles and quadrilaterals, and drops facets of no cell.
+dolfinx 0.5 ends with a segmentation fault on a mesh of triangles and quadrilaterals, and on one in which nodes of no
+cell have lower numbers than others; it drops facets of no cell.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Inspection:
 
 
 def inspect_model(source: Path) -> Inspection:
-    """Checks the current gmsh model and numbers its nodes without gaps, as dolfinx needs them.
+    """Checks the current gmsh model, drops what is on no body and numbers nodes without gaps, as dolfinx needs them.
 
     Args:
         source: Where it came from, for messages.
@@ -60,13 +61,15 @@ def inspect_model(source: Path) -> Inspection:
     kind, order, corners = _check_cell_types(source, dimension, bodies)
     _check_facets(source, dimension, boundaries, kind)
 
+    _drop_what_is_on_no_body(dimension)
     gmsh.model.mesh.renumberNodes()
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     coordinates = np.empty((len(numbers), 3))
     coordinates[numbers.astype(np.int64) - 1] = positions.reshape(-1, 3)
-    if dimension == 2 and np.ptp(coordinates[:, 2]) > 1e-9 * np.ptp(coordinates, axis=0).max():
+    of_cells = coordinates[np.unique(gmsh.model.mesh.getElementsByType(kind)[1]).astype(np.int64) - 1]
+    if dimension == 2 and np.ptp(of_cells[:, 2]) > 1e-9 * np.ptp(of_cells, axis=0).max():
         raise MeshError(
-            f"{source}: z runs from {coordinates[:, 2].min()} to {coordinates[:, 2].max()}; "
+            f"{source}: z runs from {of_cells[:, 2].min()} to {of_cells[:, 2].max()}; "
             "a plane mesh lies in the x-y plane"
         )
     shape = _CELL_NAMES[dimension, corners]
@@ -85,6 +88,17 @@ def inspect_model(source: Path) -> Inspection:
                     f"({place}); expected more than 0: it is inverted, concave or flat"
                 )
     return Inspection(dimension, bodies, boundaries, quality)
+
+
+def _drop_what_is_on_no_body(dimension: int) -> None:
+    """Points, curves and faces none of whose nodes a cell has, such as centres of arcs and drawn axes."""
+    of_cells = np.concatenate(gmsh.model.mesh.getElements(dimension)[2])
+    of_none = np.setdiff1d(gmsh.model.mesh.getNodes()[0], of_cells)
+    for lower in reversed(range(dimension)) if len(of_none) else ():  # ends of curves go after them
+        for entity in gmsh.model.getEntities(lower):
+            own = gmsh.model.mesh.getNodes(*entity, includeBoundary=True)[0]
+            if len(own) and np.isin(own, of_none).all():
+                gmsh.model.removeEntities([entity])
 
 
 def _name_groups(source: Path, dimension: int) -> dict[str, int]:

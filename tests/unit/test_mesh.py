@@ -167,6 +167,49 @@ def test_an_endless_mesh_is_refused_before_it_is_made(monkeypatch):
     assert gmsh.model.mesh.generate is generate
 
 
+CENTRE = "groups.append((0, [geo.addPoint(5.0, 0.0, 0.0){}], 'centre'))\ngeo.synchronize()"
+AXIS = "geo.addLine(*(geo.addPoint(0.0, 0.0, z) for z in (-1.0, 1.0)))\ngeo.synchronize()"
+SAVE_ALL = "\ngmsh.option.setNumber('Mesh.SaveAll', 1)"
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        CENTRE.format(""),
+        CENTRE.format(", points[0]"),
+        CENTRE.format("") + SAVE_ALL,
+        AXIS + SAVE_ALL,
+    ],
+    ids=["a group of a centre", "a group of a centre and a corner", "a centre and all saved", "an axis and all saved"],
+)
+def test_points_and_curves_on_no_body_are_left_out(squares, tmp_path, extra):
+    """Whether they are in a group or not, and from files as from builders; dolfinx crashes on their nodes."""
+    versions = (4.1,) if SAVE_ALL in extra else (4.1, 2.2)  # of format 2.2, files of all have no groups
+    paths = [tmp_path / f"version_{version}.msh" for version in versions]
+    write = "gmsh.option.setNumber('Mesh.MshFileVersion', {})\ngmsh.write({!r})\n"
+    after = "".join(write.format(version, str(path)) for version, path in zip(versions, paths, strict=True))
+    usual = build(squares())
+    for mesh in (build(squares(extra, after)), *map(build, paths)):
+        assert count(mesh) == count(usual)
+        assert measure_extent(mesh) == measure_extent(usual) == 2.5
+        assert mesh.smallest_scaled_jacobian == pytest.approx(1.0)
+
+
+def test_an_axis_drawn_beside_a_solid_is_left_out(tmp_path):
+    path = tmp_path / "box.py"
+    path.write_text(
+        "import gmsh\n\n\ndef build(*, axis: bool) -> None:\n"
+        "    line = gmsh.model.occ.addLine(*(gmsh.model.occ.addPoint(0.0, y, -5.0) for y in (0.0, 0.1)))\n"
+        "    groups = [(3, gmsh.model.occ.addBox(0.0, 0.0, 0.0, 1.0, 1.0, 1.0), 'a'), (1, line, 'axis')]\n"
+        "    gmsh.model.occ.synchronize()\n"
+        "    for dimension, member, name in groups[: 1 + axis]:\n"
+        "        gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, [member]), name)\n"
+        "    gmsh.model.mesh.generate(3)\n"
+    )
+    usual, mesh = (build(path, axis=axis) for axis in (False, True))
+    assert count(mesh) == count(usual) and measure_extent(mesh) == 1.0
+
+
 @pytest.mark.parametrize("triangles", [False, True])
 def test_complete_cells_of_second_order_are_welcome(squares, tmp_path, triangles):
     path = squares(after="gmsh.model.mesh.setOrder(2)")
