@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ewr_fenicsx.errors import MeshError, SceneError
 from ewr_fenicsx.structure.boundaries import boundary_facets, list_dofs, local_to_global
 from ewr_fenicsx.structure.elasticity import Structure
-from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.interface import Interface, tell_place
 from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
 from ewr_fenicsx.structure.rigid_motions import find_free_motions
 
@@ -44,8 +44,8 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
     """Matches the nodes of both cuts, of which a ring that only contact joins has none; collective.
 
     Raises:
-        MeshError: Cuts without facets, with other nodes than the turned ones of each other, or with nodes in contact;
-            a sector that no support holds.
+        MeshError: Cuts without facets, with other nodes than the turned ones of each other, with nodes that both have,
+            or with nodes in contact; a sector that no support holds.
         SceneError: Supports that hold one cut otherwise than the other; damping by modes, which differ from wave to
             wave.
     """
@@ -71,6 +71,12 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
             f"{where}: turned about the axis, the nodes of {ring.low} are up to {distance.max():.3g} m from those of "
             f"{ring.high}; see sectors, centre, axis and which cut is low (the next sector follows in the sense of "
             "the axis), and mesh both cuts alike"
+        )
+    shared = np.intersect1d(low, high)
+    if not np.isin(list_dofs(shared, d), structure.fixed).all():
+        raise MeshError(
+            f"{where}: {ring.low} and {ring.high} share {len(shared)} node{'s' * (len(shared) > 1)}, as at "
+            f"{tell_place(at_low[low == shared[0]][0])}: on the axis a node would be one of all sectors; leave a bore"
         )
     if touching := {*low, *high} & {*interface.nodes_a, *interface.nodes_b}:
         raise MeshError(f"{where}: {len(touching)} nodes of the cuts are in contact; cut the sector elsewhere")

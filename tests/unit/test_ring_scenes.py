@@ -93,6 +93,16 @@ def test_sectors_that_close_no_ring_are_refused(build, change, error, told):
         build(DISK.replace(*change))
 
 
+def test_cuts_that_meet_on_the_axis_are_refused(build):
+    """With a bore, the same sector closes a ring."""
+    pie = f'[geometry]\nsource = "{ROOT / "tests/geometry/pie.py"}"\nparameters = {{ bore = 0.0 }}\n{PULL}'
+    pie += '[cyclic]\nsectors = 6\nengine_order = 1\nlow = "low"\nhigh = "high"\n'
+    told = r"low and high share 1 node, as at \(0, 0\) m: on the axis a node would be one of all sectors; leave a bore"
+    with pytest.raises(MeshError, match=told):
+        build(pie)
+    assert len(build(pie.replace("bore = 0.0", "bore = 5e-3")).reduction.cuts.low) == 2 * 6  # 6 of 7 nodes are free
+
+
 @pytest.mark.parametrize(
     "change, error, told",
     [
