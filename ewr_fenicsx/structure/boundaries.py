@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import dolfinx
 import numpy as np
@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 from ewr_fenicsx.errors import MeshError, nearest
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside
+
+_CLOSED = 1e-3  # distance of facets face to face that are one, over that from the middle of the cell beside them
 
 
 def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
@@ -67,14 +69,8 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
         piece: Number of the piece of the mesh that each of them is on, the same on all ranks; facets of one piece do
             not count, and two pieces may be of the same body, whose name is then there twice. None: a body is a piece.
     """
-    domain = mesh.domain
-    beside = find_cells_beside(mesh, facets)
-    tags = find_body_of_cells(mesh)[beside]
-    middle = dolfinx.mesh.compute_midpoints(domain, mesh.dimension - 1, facets)
-    outward = middle - dolfinx.mesh.compute_midpoints(domain, mesh.dimension, beside)
-    everyone = domain.comm.allgather((tags, tags if piece is None else piece, middle, outward))
-    body, piece, middle, outward = (np.concatenate(part) for part in zip(*everyone, strict=True))
-    depth = np.linalg.norm(outward, axis=1)
+    body, middle, outward, depth, piece = _gather_facets(mesh, facets, piece)
+    piece = body if piece is None else piece
     for number in np.unique(piece)[1:]:
         mine, others = np.flatnonzero(piece == number), np.flatnonzero(piece < number)
         distance, partner = cKDTree(middle[others]).query(middle[mine])
@@ -84,6 +80,47 @@ def find_facing_bodies(mesh: JointMesh, facets: np.ndarray, piece: np.ndarray | 
             tags_there = body[mine[meet][0]], body[there[meet][0]]
             return tuple(name for name, tag in mesh.bodies.items() for _ in range(tags_there.count(tag)))
     return ()
+
+
+def doubt_cracks(mesh: JointMesh) -> Iterator[str]:
+    """What is probably not meant by facets of a body that lie on one another and share no nodes: a sentence each.
+
+    Facets of boundaries do not count: whoever drew a crack to be one can name it. Collective.
+    """
+    topology = mesh.domain.topology
+    topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
+    facets = np.sort(dolfinx.mesh.exterior_facet_indices(topology)).astype(np.int32)
+    body, middle, outward, depth, named = _gather_facets(mesh, facets, np.isin(facets, mesh.facet_tags.indices))
+    distance, partner = cKDTree(middle).query(middle, k=2)
+    itself = np.arange(len(middle))
+    other = np.where(partner[:, 0] == itself, partner[:, 1], partner[:, 0])
+    closed = (distance[:, 1] < _CLOSED * depth) & (np.sum(outward * outward[other], axis=1) < 0)
+    cracked = closed & (body == body[other]) & ~(named & named[other])
+    for name, tag in mesh.bodies.items():
+        if len(crack := middle[cracked & (body == tag)]):
+            first = crack[np.lexsort(np.round(crack.T / np.ptp(middle, axis=0).max(), 9))[0]]
+            sides = f"{len(crack)} of its {'edges' if mesh.dimension == 2 else 'faces'}"
+            yield (
+                f'body "{name}" has a crack: {sides} lie face to face and share no nodes, as at '
+                f"{tell_place(first[: mesh.dimension])}, so that they neither hold nor touch each other; let the "
+                "pieces share nodes (in gmsh: removeAllDuplicates, or fragment), or, where it is meant, give both "
+                "sides a physical group"
+            )
+
+
+def _gather_facets(mesh: JointMesh, facets: np.ndarray, mark: np.ndarray | None) -> tuple[np.ndarray | None, ...]:
+    """Of exterior facets of all ranks: body, middle, way there from the cell's middle, its length, and a mark each."""
+    beside = find_cells_beside(mesh, facets)
+    middle = dolfinx.mesh.compute_midpoints(mesh.domain, mesh.dimension - 1, facets)
+    outward = middle - dolfinx.mesh.compute_midpoints(mesh.domain, mesh.dimension, beside)
+    mine = find_body_of_cells(mesh)[beside], middle, outward, np.linalg.norm(outward, axis=1), mark
+    everyone = zip(*mesh.domain.comm.allgather(mine), strict=True)
+    return tuple(None if part[0] is None else np.concatenate(part) for part in everyone)
+
+
+def tell_place(position: np.ndarray) -> str:
+    """A place for messages."""
+    return f"({', '.join(f'{x:.6g}' for x in np.round(position, 12) + 0.0)}) m"  # without the minus of -0
 
 
 def integrate_over_boundary(space, facets: np.ndarray, direction: Sequence[float] | None = None) -> PETSc.Vec:

@@ -30,6 +30,7 @@ from ewr_fenicsx.scene.scene_sense import (
 from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
 from ewr_fenicsx.structure import elasticity, materials
 from ewr_fenicsx.structure._compat import measure_compilation
+from ewr_fenicsx.structure.boundaries import doubt_cracks
 from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
 from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
 from ewr_fenicsx.structure.mesh import JointMesh, Ring, build_mesh, measure_extent
@@ -124,7 +125,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         mesh = build_mesh(scene.geometry.source, scene.geometry.parameters, comm)
         check_names(scene, mesh)
         check_plane(scene, mesh)
-        doubts = tuple(doubt_lengths(scene, measure_extent(mesh)))
+        doubts = (*doubt_lengths(scene, measure_extent(mesh)), *doubt_cracks(mesh))
     with adding(doubts):
         with watch.stage("matrices"):
             structure = assemble_structure(

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity
+from ewr_fenicsx.structure.boundaries import tell_place
 from ewr_fenicsx.structure.mesh import JointMesh, Ring, find_body_of_cells, find_cells_beside, rotate_by_sector
 from ewr_fenicsx.structure.pair_frames import follow_rows, follow_tangent, measure_turn, turn_along_supports
 
@@ -373,11 +374,6 @@ def _check_free_to_part(names, flank_of_pair, position, normal, still) -> None:
             "a plane of symmetry stands at right angles to its flanks; take the flank out of the boundary that is "
             "held, or end it short of that"
         )
-
-
-def tell_place(position: np.ndarray) -> str:
-    """A place for messages."""
-    return f"({', '.join(f'{x:.6g}' for x in np.round(position, 12) + 0.0)}) m"  # without the minus of -0
 
 
 def _check_flanks_apart(names, flank_of_pair, position, nodes_a, nodes_b) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import MeshError, SceneError
-from ewr_fenicsx.structure.boundaries import boundary_facets, list_dofs, local_to_global
+from ewr_fenicsx.structure.boundaries import boundary_facets, list_dofs, local_to_global, tell_place
 from ewr_fenicsx.structure.elasticity import Structure
-from ewr_fenicsx.structure.interface import Interface, tell_place
+from ewr_fenicsx.structure.interface import Interface
 from ewr_fenicsx.structure.mesh import Ring, rotate_by_sector
 from ewr_fenicsx.structure.rigid_motions import find_free_motions
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import gmsh
 
 
-def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, held: bool = False) -> None:
+def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, lid: str = "lid") -> None:
     """Adds the blocks, their mesh and the groups disk, blade, joint, lid, tip and clamp to the current gmsh model.
 
     Args:
         cover: Name of the uppermost block's body.
         glued: Whether it shares nodes with the blade.
         gap: Between both [m].
-        held: Whether the lid is in the group "clamp" instead.
+        lid: Name of the group that the cover's seat is in; none where it is empty.
     """
     geo, width, height = gmsh.model.geo, 0.04, 0.02
     groups: dict[tuple[int, str], list[int]] = {}
@@ -34,12 +34,13 @@ def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, held: 
     ground, seat, root, neck, top = (level(k * height) for k in (0, 1, 1, 2, 3))
     disk, blade = block("disk", [*ground, *seat[::-1]]), block("blade", [*root, *neck[::-1]])
     if glued:
-        upper, lid = block(cover, [*neck, *top[::-1]], blade[2]), [blade[2]]
+        upper, cover_seat = block(cover, [*neck, *top[::-1]], blade[2]), [blade[2]]
     else:
         upper = block(cover, [*level(2 * height + gap), *top[::-1]])
-        lid = [blade[2], upper[0]]
+        cover_seat = [blade[2], upper[0]]
     groups |= {(1, "joint"): [disk[2], blade[0]], (1, "tip"): [blade[1]], (1, "clamp"): [disk[0], upper[2]]}
-    groups.setdefault((1, "clamp" if held else "lid"), []).extend(lid)
+    if lid:
+        groups.setdefault((1, lid), []).extend(cover_seat)
     geo.synchronize()
     for (dimension, name), members in groups.items():
         gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)

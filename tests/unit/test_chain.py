@@ -133,6 +133,20 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     assert 'boundary "lid" lies on' in doubt and "a joint is between blade and disk, on joint;" in doubt
 
 
+def test_a_crack_within_a_body_is_told(tmp_path):
+    """Along a seam that was drawn twice and is on no boundary; where it is on one, that is told, and only that."""
+    told = {}
+    for lid in ("", "lid"):
+        parameters = f'cover = "blade", lid = "{lid}"'
+        (tmp_path / "scene.toml").write_text(write_blocks(source=BLOCKS.with_name("pile.py"), parameters=parameters))
+        (told[lid],) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
+    assert (
+        'body "blade" has a crack: 10 of its edges lie face to face and share no nodes, as at (0.004, 0.04) m'
+        in told[""]
+    )
+    assert 'boundary "lid" lies on two pieces of blade' in told["lid"]
+
+
 def test_one_group_may_hold_both_bodies_or_be_followed_on_both(tmp_path):
     scene = f"""
 geometry.source = "{BLOCKS.with_name("flush_blocks.py")}"

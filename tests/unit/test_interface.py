@@ -278,7 +278,7 @@ def test_bodies_face_to_face_on_a_boundary_that_is_no_flank_are_told(cover, word
     ("source", "given"),
     [
         (PILE, {"glued": True}),
-        (PILE, {"held": True}),
+        (PILE, {"lid": "clamp"}),
         (PILE, {"gap": 0.004}),
         (PILE.with_name("flush_blocks.py"), {}),
         (PILE.with_name("stacks.py"), {"stacks": 2, "loose": True}),

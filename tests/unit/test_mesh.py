@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from ewr_fenicsx.errors import MeshError
 from ewr_fenicsx.structure._compat import gmsh_is_running
+from ewr_fenicsx.structure.boundaries import doubt_cracks
 from ewr_fenicsx.structure.mesh import JointMesh, build_mesh, measure_extent
 
 GEOMETRY = Path(__file__).parents[2] / "geometry"
@@ -426,3 +427,26 @@ def test_gmsh_is_quiet():
 @pytest.mark.parametrize("width", [0.04, 40.0])
 def test_the_extent_of_a_mesh_is_its_longest_side(squares, width):
     assert measure_extent(build_mesh(squares(), {"width": width}, MPI.COMM_SELF)) == pytest.approx(1.5 + width)
+
+
+MERGED = "gmsh.model.mesh.removeDuplicateNodes()"
+
+
+@pytest.mark.parametrize(
+    "extra, after, width, cracks",
+    [
+        ("groups = [(2, surfaces, 'a')]", "pass", 1.5, 1),
+        ("groups = [(2, surfaces, 'a'), (1, curves[0][1:2], 'wall')]", "pass", 1.5, 1),
+        ("groups = [(2, surfaces, 'a'), groups[2]]", "pass", 1.5, 0),
+        ("groups = groups[:2]", "pass", 1.5, 0),
+        ("groups = [(2, surfaces, 'a')]", MERGED, 1.5, 0),
+        ("groups = [(2, surfaces, 'a')]", "pass", 1.49, 0),
+    ],
+    ids=["on no boundary", "one side on a boundary", "both on one", "two bodies", "merged", "apart"],
+)
+def test_facets_of_a_body_that_lie_on_one_another_are_a_crack(squares, extra, after, width, cracks):
+    doubts = list(doubt_cracks(build(squares(extra, after), width=width)))
+    assert len(doubts) == cracks
+    for doubt in doubts:
+        assert 'body "a" has a crack: 8 of its edges lie face to face and share no nodes, as at (1.5, 0.125) m' in doubt
+        assert "let the pieces share nodes" in doubt
