@@ -334,10 +334,10 @@ def _check_excitation(scene: Scene) -> Iterator[str]:
 
 
 def _check_laws(scene: Scene) -> Iterator[str]:
-    joint = laws_in_force(scene)
-    for name in scene.flanks:
-        if scene.listed_flanks is not None and name not in scene.listed_flanks:
-            yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it there"
+    joint, listed = laws_in_force(scene), scene.listed_flanks
+    for name in () if listed is None else sorted({*scene.flanks} - {*listed}):
+        hint = nearest(name, sorted({*listed} - {*scene.flanks}))
+        yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it there{hint}"
     for where, laws in joint.items():
         if laws.normal == "prescribed" and laws.normal_force is None:
             yield f'{where}: normal = "prescribed" needs normal_force [N], the force of every pair'

@@ -116,6 +116,10 @@ def test_a_static_scene_needs_no_frequency(read):
             "flanks.top: contact.flanks = ['left'] leave this flank out; add it there",
         ),
         (
+            SCENE + "[contact]\nflanks = ['left']\n[flanks.lefd]\nfriction = 0.4",
+            "flanks.lefd: contact.flanks = ['left'] leave this flank out; add it there; did you mean \"left\"?",
+        ),
+        (
             HEAD + PULL + SHAKE + "[excitation]\nfrequency = [1000]",
             "excitation.frequency = [1000]: a sweep over one point; write frequency = 1000",
         ),
