@@ -202,6 +202,7 @@ def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
             "solves": history.solves,
             "stopped": history.stopped,
             "rough_cycles": history.rough,
+            "leaps": [asdict(leap) for leap in history.leaps],
             "reservations_of_first_solve": reservations,
         }
     }

@@ -19,10 +19,11 @@ from ewr_fenicsx.errors import ModelError, NotConverged, UnheldBody
 from ewr_fenicsx.given import RealArray, is_positive, is_whole
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.response.following import solve_from
+from ewr_fenicsx.response.refining import measure_gap
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
-from ewr_fenicsx.wear.wear_store import WearState, WearStep
+from ewr_fenicsx.wear.wear_store import Leap, WearState, WearStep
 
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
 GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
@@ -133,12 +134,12 @@ class WearRun:
             solves += 1
             try:
                 if length == 1 and limit >= 1:
-                    ahead, room = self._solve(here, state.earlier, here.depth + here.rate, 1, fallbacks=True), np.inf
+                    found, room = [self._solve(here, state.earlier, here.depth + here.rate, 1, fallbacks=True)], np.inf
                     break
                 trial, worn, room = self._try_jump(state, length, decay)
                 if room >= 1 or length == 1:
                     solves += 1
-                    ahead = self._solve(trial, None, np.maximum(worn, here.depth), 0, fallbacks=length == 1)
+                    found = [trial, self._solve(trial, None, np.maximum(worn, here.depth), 0, fallbacks=length == 1)]
                     break
                 length = max(1, int(min(0.5, SAFETY * np.sqrt(room)) * length))
             except (NotConverged, UnheldBody) as failure:
@@ -152,7 +153,8 @@ class WearRun:
             free = min(growth, SAFETY * np.sqrt(room))
             following = max(1, int(free * length), length + 1 if free > 1 else 1)
         rough = state.rough + int(room < 1)
-        return self._keep(replace(state, jump=following, solves=state.solves + solves, rough=rough), ahead)
+        state = replace(state, jump=following, solves=state.solves + solves, rough=rough)
+        return self._keep(_add_leap(state, found), found[-1])
 
     def _try_jump(self, state: WearState, length: int, decay: RealArray) -> tuple[WearStep, RealArray, float]:
         """The step after a jump of first order, the depth of second order ``(K_c,)`` [m], and the room there is.
@@ -179,7 +181,7 @@ class WearRun:
         here = state.latest
         kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
         if kept and self.judge:
-            ahead = self.judge.look_at(ahead)
+            state, ahead = self._look_at(state, ahead)
         earlier = here if ahead.solution.orders == here.solution.orders else None  # nothing to extrapolate from
         state = replace(state, latest=ahead, earlier=earlier)
         if self.deepest is not None and ahead.depth.max() > self.deepest:
@@ -188,6 +190,10 @@ class WearRun:
                 state, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m"
             )
         return replace(state, steps=(*state.steps, ahead)) if kept else state
+
+    def _look_at(self, state: WearState, step: WearStep) -> tuple[WearState, WearStep]:
+        looked = self.judge.look_at(step)
+        return state if looked.solution is step.solution else _add_leap(state, [looked]), looked
 
     def _stop(self, state: WearState, why: str) -> WearState:
         steps = state.steps if state.steps[-1].cycle == state.latest.cycle else (*state.steps, state.latest)
@@ -214,3 +220,12 @@ class WearRun:
                 raise NotConverged(f"no solution near that before the jump: {solution.reason}", best=solution)
             solution = solve(problem, latest.solution, self.tolerance)
         return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)
+
+
+def _add_leap(state: WearState, found: list[WearStep]) -> WearState:
+    """The state, that knows where a fallback found the next steps."""
+    fallbacks = [way for step in found for way in step.solution.fallbacks[-1:]]
+    if not fallbacks:
+        return state
+    here, change = state.latest, measure_gap(state.latest.solution, found[-1].solution)
+    return replace(state, leaps=(*state.leaps, Leap(here.cycle, fallbacks[0].partition(":")[0], change)))

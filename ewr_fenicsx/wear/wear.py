@@ -28,7 +28,7 @@ from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
-from ewr_fenicsx.wear.wear_store import WearFile, WearStep
+from ewr_fenicsx.wear.wear_store import Leap, WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
 
 WORTH = 10.0  # seconds of work that are worth a new version of the file
@@ -46,6 +46,7 @@ class WearHistory:
         stopped: Why wear was not followed to the last cycle; None where it was.
         accuracy: What was asked for of the solutions; None: harmonics and samples were given.
         rough: Cycles that each wore more than contact can follow, and so are further off than ``jump`` allows.
+        leaps: Where no solution was found near the last one but by a fallback, which may be another motion.
     """
 
     problem: ContactProblem
@@ -55,6 +56,7 @@ class WearHistory:
     stopped: str | None
     accuracy: float | None = None
     rough: int = 0
+    leaps: tuple[Leap, ...] = ()
 
     def __repr__(self) -> str:
         told = f"stopped {self.stopped}" if self.stopped else "to the last one"
@@ -86,6 +88,13 @@ class WearHistory:
             lines.append(
                 f"  NOT within the tolerance: each of {self.rough} cycles wore more than contact can follow, and their "
                 "depth is rough; lower the wear coefficient"
+            )
+        if self.leaps:
+            at, most = list_few([leap.cycle for leap in self.leaps], "steps"), max(leap.change for leap in self.leaps)
+            ways = ", ".join(dict.fromkeys(leap.found_by for leap in self.leaps))
+            lines.append(
+                f"  after {at} cycles the motion led nowhere: wear goes on from a solution found otherwise ({ways}), "
+                f"whose outputs differ by {'up to ' if len(self.leaps) > 1 else ''}{100 * most:.3g}%"
             )
         lines += [f"  stopped {self.stopped}"] if self.stopped else []
         if not np.any(self.rate[-1]):
@@ -265,7 +274,7 @@ def evolve_wear(
     finally:
         if store and state is not saved:
             store.write(state)
-    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy, state.rough)
+    return WearHistory(problem, rates, state.steps, state.solves, state.stopped, accuracy, state.rough, state.leaps)
 
 
 def _check_choice(choice: Mapping[str, object], accuracy: float | None) -> None:

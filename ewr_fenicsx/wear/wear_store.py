@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import json
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -15,7 +16,7 @@ from ewr_fenicsx.response.solution_store import read_records, restore, strip, wr
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.whole_files import open_file, replace_file
 
-_FORMAT = "ewr_fenicsx wear, 6"
+_FORMAT = "ewr_fenicsx wear, 7"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,21 @@ class WearStep:
     estimate: float = np.nan
 
 
+@dataclass(frozen=True)
+class Leap:
+    """Where no solution was found near the last one: wear goes on from that of a fallback, maybe of another motion.
+
+    Attributes:
+        cycle: Cycles done before.
+        found_by: The fallback.
+        change: Of the outputs' oscillation, over the larger one.
+    """
+
+    cycle: int
+    found_by: str
+    change: float
+
+
 @dataclass(frozen=True, eq=False)
 class WearState:
     """All that a wear calculation needs to go on.
@@ -48,6 +64,7 @@ class WearState:
         rough: Single cycles so far that were further off than the tolerance allows.
         steps: Steps kept so far.
         stopped: Why it ended before its last cycle, or None.
+        leaps: Where solutions so far were found by a fallback only.
     """
 
     latest: WearStep
@@ -57,6 +74,7 @@ class WearState:
     rough: int
     steps: tuple[WearStep, ...]
     stopped: str | None
+    leaps: tuple[Leap, ...] = ()
 
 
 class WearFile:
@@ -77,6 +95,7 @@ class WearFile:
             file.attrs["format"], file.attrs["stated"] = _FORMAT, self.stated
             file.attrs["jump"], file.attrs["solves"], file.attrs["rough"] = state.jump, state.solves, state.rough
             file.attrs["stopped"] = state.stopped or ""
+            file["leaps"] = [json.dumps(asdict(leap)) for leap in state.leaps]
             file["pair_area"] = self.problem.model.areas
             self._write_steps(file.create_group("steps"), state.steps)
             self._write_steps(file.create_group("last"), [s for s in (state.earlier, state.latest) if s is not None])
@@ -104,6 +123,7 @@ class WearFile:
                 rough=int(file.attrs["rough"]),
                 steps=tuple(self._read_steps(file["steps"])),
                 stopped=str(file.attrs["stopped"]) or None,
+                leaps=tuple(Leap(**json.loads(text)) for text in file["leaps"][()]),
             )
 
     def _write_steps(self, group: h5py.Group, steps: list[WearStep] | tuple[WearStep, ...]) -> None:

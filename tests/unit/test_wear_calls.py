@@ -8,15 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from small_models import dovetail
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve, solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, OutputError
-from ewr_fenicsx.runs.findings import tell_wear
+from ewr_fenicsx.runs.findings import list_facts_of_wear, tell_wear
 from ewr_fenicsx.wear import cycle_jumps, wear
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
-from ewr_fenicsx.wear.wear_store import WearStep
+from ewr_fenicsx.wear.wear_store import Leap, WearStep
 
 WEAR = 1e-10
 
@@ -71,6 +72,83 @@ def test_a_joint_that_does_not_slide_is_solved_once(jump):
     assert not np.any(history.depth) and history.stopped is None
     lines = tell_wear(history, 1.0, 5)
     assert "  nothing wears from cycle 0 on: no pair that may wear slides while it is pressed" in lines
+
+
+def pose_fading_resonance() -> ContactProblem:
+    """A mass above the resonance that its stop bends to it: as a slider wears the stop away, that motion ends."""
+    stiffness = np.zeros((4, 4))  # of the mass, the end of its stop, what slides, and a foot that carries a load
+    stiffness[:2, :2], stiffness[2, 2], stiffness[3, 3] = [[2.0, -1.0], [-1.0, 1.0]], 100.0, 1.0
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0, 0.0, 0.0]),
+        damping=np.diag([0.04, 0.0, 0.0, 0.0]),
+        stiffness=stiffness,
+        normal=[[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]],
+        tangential=[[0.0, 0.0, 1.0, 0.0]] * 2,
+        load={0: [0.0, 0.0, 0.0, 1.0], 1: [0.08, 0.0, 10.0, 0.0]},
+        outputs={"tip": [1.0, 0.0, 0.0, 0.0]},
+        pair_area=[1.0, 1.0],
+    )
+    stop = ContactLaws(tangential="frictionless", initial_gap=0.5)
+    return ContactProblem(model, [([0], stop), ([1], replace(stop, initial_gap=0.0))], 0.1705, 15)
+
+
+@pytest.mark.parametrize("jump", [None, Tolerance(share=0.01)])
+def test_a_joint_that_leaps_to_another_motion_while_it_wears_says_so(jump):
+    """Its amplitude fell to a third from one cycle to the next, without a word."""
+    history = evolve_wear(pose_fading_resonance(), 150, np.array([0.05, 1e-4]), jump)
+    before, after = (history.figure("rms_tip")[history.cycles == cycle] for cycle in (141, 142))
+    assert after < 0.3 * before
+    (leap,) = history.leaps
+    assert (leap.cycle, leap.found_by) == (141, "cold start")
+    tip = [np.abs(history.output("tip")[history.cycles == cycle, 1:]).ravel() for cycle in (141, 142)]
+    assert leap.change >= np.linalg.norm(tip[0] - tip[1]) / np.linalg.norm(tip[0]) > 0.5
+    told = (
+        "  after 141 cycles the motion led nowhere: wear goes on from a solution found otherwise (cold start), whose "
+        f"outputs differ by {100 * leap.change:.3g}%"
+    )
+    assert told in history.summary().splitlines() and told in tell_wear(history, 1.0, 4)
+    facts = {"cycle": 141, "found_by": "cold start", "change": leap.change}
+    assert list_facts_of_wear(history)["wear"]["leaps"] == [facts]
+
+
+def test_a_joint_that_keeps_its_motion_leaps_nowhere():
+    """Though its first solution was found by a fallback as well."""
+    history = evolve_wear(pose_fading_resonance(), 20, np.array([0.05, 1e-4]))
+    assert history.solutions[0].fallbacks and history.leaps == () and "led nowhere" not in history.summary()
+    assert list_facts_of_wear(history)["wear"]["leaps"] == []
+
+
+def test_leaps_share_a_line():
+    history = evolve_wear(pose(), 2, WEAR)
+    leaps = tuple(Leap(3 * k, ("cold start", "time stepping")[k % 2], 0.1 * k) for k in range(1, 8))
+    assert replace(history, leaps=leaps).list_outcome()[1:] == [
+        "  after 7 steps from 3 to 21 cycles the motion led nowhere: wear goes on from a solution found otherwise "
+        "(time stepping, cold start), whose outputs differ by up to 70%"
+    ]
+
+
+def test_a_resumed_run_knows_of_the_leaps_before(tmp_path, monkeypatch):
+    run = lambda name: evolve_wear(pose_fading_resonance(), 150, np.array([0.05, 1e-4]), file=tmp_path / name)  # noqa: E731
+    whole = run("whole.h5")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, cycle_jumps, "solve_from", 145)
+        run("broken.h5")
+    assert run("broken.h5").leaps == whole.leaps != ()
+    assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+
+def test_a_leap_to_a_solution_that_is_accurate_enough_is_told(monkeypatch):
+    """Where the one that was kept was not, a fallback may have found the other."""
+
+    def look_elsewhere(judge, step):
+        if step.cycle != 2:
+            return replace(step, estimate=0.1)
+        return replace(step, estimate=0.1, solution=replace(step.solution, fallbacks=("given start: no", "cold: yes")))
+
+    monkeypatch.setattr(AccurateWear, "look_at", look_elsewhere)
+    history = evolve_wear(pose(), 3, WEAR, accuracy=0.5)
+    assert [(leap.cycle, leap.found_by) for leap in history.leaps] == [(1, "cold")]
+    assert 0 < history.leaps[0].change < 0.1
 
 
 @pytest.mark.parametrize("cycles, told", [(2, "1, 2"), (7, "7 steps from 1 to 7")])
