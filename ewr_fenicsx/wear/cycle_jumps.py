@@ -179,25 +179,26 @@ class WearRun:
     def _keep(self, state: WearState, ahead: WearStep) -> WearState:
         """The state with one more step, which is among those kept where it is its turn."""
         here = state.latest
-        kept = ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
+        deep = self.deepest is not None and ahead.depth.max() > self.deepest
+        kept = deep or ahead.cycle - state.steps[-1].cycle >= self.keep_every or ahead.cycle == self.cycles
         if kept and self.judge:
             state, ahead = self._look_at(state, ahead)
         earlier = here if ahead.solution.orders == here.solution.orders else None  # nothing to extrapolate from
-        state = replace(state, latest=ahead, earlier=earlier)
-        if self.deepest is not None and ahead.depth.max() > self.deepest:
-            pair = int(ahead.depth.argmax())
-            return self._stop(
-                state, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m"
-            )
-        return replace(state, steps=(*state.steps, ahead)) if kept else state
+        state = replace(state, latest=ahead, earlier=earlier, steps=(*state.steps, ahead) if kept else state.steps)
+        if not deep:
+            return state
+        pair = int(ahead.depth.argmax())
+        return self._stop(state, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m")
 
     def _look_at(self, state: WearState, step: WearStep) -> tuple[WearState, WearStep]:
         looked = self.judge.look_at(step)
         return state if looked.solution is step.solution else _add_leap(state, [looked]), looked
 
     def _stop(self, state: WearState, why: str) -> WearState:
-        steps = state.steps if state.steps[-1].cycle == state.latest.cycle else (*state.steps, state.latest)
-        return replace(state, steps=steps, stopped=f"after {state.latest.cycle} cycles: {why}")
+        if state.steps[-1].cycle != state.latest.cycle:  # it was not its turn
+            state, last = self._look_at(state, state.latest) if self.judge else (state, state.latest)
+            state = replace(state, latest=last, steps=(*state.steps, last))
+        return replace(state, stopped=f"after {state.latest.cycle} cycles: {why}")
 
     def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
         part = np.sqrt(length / self.cycles)

@@ -12,7 +12,7 @@ from counted_calls import count_calls
 from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve, solve_to_accuracy
-from ewr_fenicsx.errors import ModelError, OutputError
+from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
 from ewr_fenicsx.runs.findings import list_facts_of_wear, tell_wear
 from ewr_fenicsx.wear import cycle_jumps, wear
 from ewr_fenicsx.wear.archard import measure_wear_rate
@@ -359,6 +359,49 @@ def test_a_single_cycle_takes_every_fallback(monkeypatch):
         lost = evolve_wear(pose(), 3, WEAR, jump)
         assert lost.stopped is None and lost.cycles[-1] == 3
         np.testing.assert_allclose(lost.depth[-1], usual.depth[-1], rtol=1e-6)
+
+
+def stop_after(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No solution from so many solves on, neither near the last one nor by fallbacks."""
+    follow, calls = cycle_jumps.solve_from, []
+
+    def lose(*given):
+        calls.append(given)
+        found = follow(*given)
+        return found if len(calls) <= most else replace(found, converged=False, reason="lost")
+
+    def refuse(*_):
+        raise NotConverged("no periodic solution", best=None)
+
+    monkeypatch.setattr(cycle_jumps, "solve_from", lose)
+    monkeypatch.setattr(cycle_jumps, "solve", refuse)
+
+
+@pytest.mark.parametrize("why", ["has worn", "no periodic solution"])
+def test_the_last_step_of_wear_that_ends_early_is_as_accurate_as_asked(why, monkeypatch):
+    """It had no estimate, and was over the accuracy that the summary said was reached."""
+    if why == "no periodic solution":
+        stop_after(15, monkeypatch)
+    deepest = 3.38e-5 if why == "has worn" else None
+    jump = Tolerance(share=0.1)
+    history = evolve_wear(pose(), 3000, WEAR, jump, keep_every=3000, accuracy=0.1, deepest=deepest)
+    assert len(history.steps) == 2 and why in history.stopped
+    last = history.steps[-1]
+    many = solve(replace(last.solution.problem, harmonics=41, samples=None), last.solution)
+    exact = measure_wear_rate(many, history.coefficient)
+    assert np.abs(last.rate - exact).max() <= 0.1 * exact.max() and last.estimate <= 0.1
+    assert last.solution.orders[-1] > history.solutions[0].orders[-1], "those of the start no longer do"
+    np.testing.assert_array_equal(last.rate, measure_wear_rate(last.solution, history.coefficient))
+    told = {"asked": 0.1, "reached": True, "estimate": {"total": history.estimates.max()}, "short_after_cycles": []}
+    assert list_facts_of_wear(history)["accuracy"] == told
+
+
+def test_wear_that_ends_early_short_of_its_accuracy_says_so():
+    history = evolve_wear(
+        pose(), 3000, WEAR, Tolerance(share=0.1), accuracy=0.1, deepest=3.38e-5, keep_every=3000, highest=3
+    )
+    assert history.estimates[-1] > 0.1 and history.short.tolist() == history.cycles[-1:].tolist()
+    assert not list_facts_of_wear(history)["accuracy"]["reached"]
 
 
 def test_wear_that_falls_short_of_its_accuracy_says_so():
