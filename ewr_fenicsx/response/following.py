@@ -7,9 +7,11 @@ turns back: it is traced by arc length through its folds until it passes the par
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -29,6 +31,7 @@ NEWTON_STEPS, FEW_STEPS = 15, 8  # of a warm start: what needs more is not near;
 LARGEST_SURPRISE = 0.4  # relative distance of a solution from its prediction, beyond which it may be another branch's
 SMALLEST_STEP = 2e-5  # of the frequency
 TRACED_POINTS, LOOKS_BACK = 600, 10  # points; how often it is looked whether they go round in a circle
+COARSE = 0.2  # change of state between traced points, about, where there is no limit to it
 # Distances of a traced point, in steps, from which it is another branch's: a wide one may leap to a branch near by, of
 # which a narrow one keeps clear
 STRAYS = (3.0, 1.5)
@@ -175,8 +178,9 @@ class Follower:
                 f = target if target - f < SMALLEST_STEP * target else f
                 found, surprise, change = self._step(f, here, before)
                 tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
-                if surprise > LARGEST_SURPRISE and tiny:
-                    traced = self._trace(here, before, target)
+                lost, far = surprise > LARGEST_SURPRISE, bool(self.refine) and change > self.refine
+                traced = self._trace(here, before, target) if tiny and (lost or far) else None
+                if traced and (lost or not traced.jumps):
                     curve.extend(traced)
                     reach = np.inf
                     if not traced.points:
@@ -185,7 +189,7 @@ class Follower:
                     if traced.jumps:
                         before = None
                     continue
-                if surprise > LARGEST_SURPRISE or (self.refine and change > self.refine and not tiny):
+                if lost or (far and not tiny):
                     reach = 0.5 * (f - here.problem.frequency)
                     continue
                 if self.refine or f == target:
@@ -267,9 +271,16 @@ class Follower:
             balance = balance_at(solution.problem.frequency)
             return BranchPoint(solution.problem.frequency, balance.pack(solution.forces, solution.rigid), 0)
 
+        state_at = cache(lambda point: read_state(self._wrap(point, here, balance_at)))
+
+        def measure_room(a: BranchPoint, b: BranchPoint) -> float:
+            change = compare_states(state_at(a), state_at(b)) if self.refine else 0.0
+            return self.refine / change if change else np.inf
+
         points: list[PeriodicSolution] = []
         last = None if before is None else as_branch_point(before)
         point = as_branch_point(here)
+        times = math.ceil(COARSE / self.refine) if self.refine else 1  # as many points
         first = 0.05 if last is None else max(1e-6, measure_arc(last, point, span))
         branch = trace_branch(
             balance_at,
@@ -281,19 +292,20 @@ class Follower:
             tolerance=self.tolerance,
             before=last,
             stray=stray,
+            measure_room=measure_room,
         )
         path = [point]
         for point in branch:
             path.append(point)
-            if len(path) % LOOKS_BACK == 0:
+            if len(path) % (times * LOOKS_BACK) == 0:
                 self.tell(f"fold at {point.parameter:.4g} Hz, {len(path)} points")
                 if retraces(path, span):
                     frequencies = [p.parameter for p in path]
                     return points, f"{CLOSED} between {min(frequencies):g} and {max(frequencies):g} Hz"
             if not least <= point.parameter <= most:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
-            if len(points) >= TRACED_POINTS:
-                return points, f"{TRACED_POINTS} points of arc-length continuation did not reach it"
+            if len(points) >= times * TRACED_POINTS:
+                return points, f"{len(points)} points of arc-length continuation did not reach it"
             traced = self._wrap(point, here, balance_at)
             if point.parameter >= target:
                 earlier = points[-1] if points else here

@@ -32,6 +32,7 @@ _MOST_LEFT, _SLOW, _PATIENCE = 1.0, 0.3, 3
 # Share of the residual that a step must take away, and its least length: the first with its factors, and further ones.
 _FIRST, _FURTHER = (1e-4, 1e-3), (0.7, 1.0)
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
+_NEAREST, _ROOMY = 1e-4, 0.9  # step that is short enough for any room; share of the room that the next step goes for
 _LARGE = 0.3  # share of the norm of the unknowns by which steps may be longer, where that is above one: rarely it is
 _STRAIGHT, _ALONG = 0.9, 0.5  # cosine above which a branch goes straight on; and above which two tangents are one
 _AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine
@@ -63,6 +64,7 @@ def trace_branch(
     tolerance: float = 1e-8,
     before: BranchPoint | None = None,
     stray: float = np.inf,
+    measure_room: Callable[[BranchPoint, BranchPoint], float] = lambda here, found: np.inf,
 ) -> Iterator[BranchPoint]:
     """Follow a branch from a converged point, until the consumer stops or a step fails at the smallest size.
 
@@ -79,6 +81,8 @@ def trace_branch(
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, long steps
             across a sharp corner are halved, and go along secants: they come closer to a corner, in more steps. Else a
             step that follows a halved one is no longer than that.
+        measure_room: How many times as far apart two points in turn may be at most; where it is less than one, the
+            second is looked for nearer by.
     """
     here, tangent, spent, halved = start, np.append(np.zeros(start.unknowns.size), 1.0), 0, False
     if before is not None:
@@ -99,6 +103,10 @@ def trace_branch(
         if found is None:
             step, halved = 0.5 * step, True
             continue
+        room = measure_room(here, found)
+        if room < 1 and step > _NEAREST:
+            step = max(0.5, _ROOMY * room) * step
+            continue
         if ahead is None:
             secant = _point_to(here, found, span)
             ahead = secant if np.isfinite(stray) else _find_way(secant, onward)
@@ -108,7 +116,7 @@ def trace_branch(
         ways = [(here, tangent), *ways[:1]]
         most = largest_step * max(1.0, _LARGE * float(np.linalg.norm(here.unknowns)))
         growth = 0.7 if taken > 8 else 1.0 if taken > 5 or (halved and not np.isfinite(stray)) else 1.6
-        step, halved = min(most, growth * step), False
+        step, halved = min(most, growth * step, max(_NEAREST, _ROOMY * room * step)), False
 
 
 def _find_way(secant: RealArray, tangent: RealArray | None) -> RealArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import h5py
@@ -50,6 +51,26 @@ def test_adaptive_frequencies_resolve_the_resonance():
     peak = fine.frequencies[np.abs(fine.output("tip")[:, 1]).argmax()]
     near = np.abs(fine.frequencies[1:] - peak) < 0.03
     assert steps[near].max() < 0.5 * steps.max(), "points are where the curve bends"
+
+
+@pytest.mark.parametrize(
+    "gap, frequencies, harmonics, refine",
+    [
+        (0.5, np.linspace(0.1, 0.25, 6), 9, 0.2),
+        (0.5, np.linspace(0.1, 0.25, 6), 9, 0.05),
+        (1.0, [0.163, 0.173], 3, 0.005),
+    ],
+)
+def test_neighbours_on_a_refined_curve_are_as_near_as_asked_beyond_its_folds_too(gap, frequencies, harmonics, refine):
+    """Those found by arc length were not looked at: changes were up to five times as large."""
+    laws = ContactLaws(tangential="frictionless", initial_gap=gap)
+    curve = frequency_response(stop_oscillator(), laws, frequencies, harmonics, progress=False, refine=refine)
+    assert not curve.jumps and not curve.missing
+    assert np.diff(curve.frequencies).min() < 0 < np.diff(curve.frequencies)[-1], "it folds, and comes back"
+    states = [following.read_state(s) for s in curve.solutions]
+    changes = [following.compare_states(*pair) for pair in pairwise(states)]
+    assert max(changes) <= refine * (1 + 1e-9)
+    assert np.mean(changes) > 0.4 * refine, "and no more points than that takes"
 
 
 def test_several_values_of_a_parameter_give_a_curve_each():
