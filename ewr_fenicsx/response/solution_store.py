@@ -87,7 +87,8 @@ def gather_output(solutions: Sequence[PeriodicSolution], name: str, orders: tupl
     Raises:
         ModelError: The model has no such output.
     """
-    amplitudes = np.zeros((len(solutions), len(orders)), dtype=complex)
+    # each harmonic in one piece: of strided numbers the size may differ in the last bit from one call to the next
+    amplitudes = np.zeros((len(solutions), len(orders)), dtype=complex, order="F")
     for i, s in enumerate(solutions):
         amplitudes[i, np.searchsorted(orders, s.orders)] = s.output(name)
     return amplitudes
