@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from numbers import Number
 
 import h5py
 import numpy as np
@@ -145,18 +146,26 @@ def read_records(group: h5py.Group) -> list[Record]:
 
 
 def fingerprint(*stated: object) -> str:
-    """A digest of everything stated: numbers, texts, arrays, dataclasses, collections of these, code of own laws."""
+    """A digest of everything stated: numbers, texts, arrays, dataclasses, collections of these, code of own laws.
+
+    Of numbers and sequences the type does not count, nor the order of a mapping.
+    """
     digest = hashlib.sha256()
     _feed(digest.update, stated)
     return digest.hexdigest()
 
 
 def _feed(update: Callable[[bytes], None], item: object) -> None:
-    update(type(item).__name__.encode())
+    if isinstance(item, np.generic | np.ndarray) and not item.ndim:
+        item = item.item()
     if isinstance(item, np.ndarray):
+        item = item.astype(np.result_type(item, np.float64), copy=False) if item.dtype.kind in "iufc" else item
         update(f"{item.dtype}{item.shape}".encode())
         update(np.ascontiguousarray(item).tobytes())
+    elif isinstance(item, Number) and not isinstance(item, bool):
+        update(f"number {complex(item)}".encode())
     elif is_dataclass(item):
+        update(type(item).__name__.encode())
         for entry in fields(item):
             update(entry.name.encode())
             _feed(update, getattr(item, entry.name))
@@ -164,14 +173,16 @@ def _feed(update: Callable[[bytes], None], item: object) -> None:
             if is_own(type(kind)):
                 update(read_code(type(kind)).encode())
     elif isinstance(item, Mapping):
-        for key, value in item.items():
+        update(f"mapping {len(item)}".encode())
+        for key, value in sorted(item.items(), key=lambda entry: fingerprint(entry[0])):
             _feed(update, key)
             _feed(update, value)
     elif isinstance(item, list | tuple | range):
+        update(f"sequence {len(item)}".encode())
         for value in item:
             _feed(update, value)
     else:
-        update(repr(item).encode())
+        update(f"{type(item).__name__} {item!r}".encode())
 
 
 def read_code(kind: type) -> str:

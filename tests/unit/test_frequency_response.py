@@ -192,6 +192,16 @@ def test_an_interrupted_sweep_goes_on_from_what_is_on_disk(tmp_path, monkeypatch
         sweep(folder=tmp_path, laws=replace(LAWS, friction=0.31))
 
 
+def test_blocks_of_curves_in_another_order_are_not_taken_for_one_another(tmp_path):
+    """They are numbered in that order; the values of the parameter may be of any type."""
+    family = {mu: replace(LAWS, friction=mu) for mu in (0.1, 0.3)}
+    curves = sweep(laws=family, work=tmp_path)
+    with pytest.raises(OutputError, match="another model, laws, frequencies or settings"):
+        sweep(laws=dict(reversed(family.items())), work=tmp_path)
+    again = sweep(laws={np.float64(mu): laws for mu, laws in family.items()}, work=tmp_path)
+    np.testing.assert_array_equal(again[0.3].output("tip"), curves[0.3].output("tip"))
+
+
 def start_late(problem, **settings):
     """``solve``, that finds nothing at the first two frequencies."""
     found = solve(problem, **settings)

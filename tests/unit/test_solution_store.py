@@ -81,6 +81,36 @@ def test_fingerprints_tell_problems_apart():
     assert len({fingerprint(p) for p in [problem, *others]}) == 5
 
 
+def test_the_type_of_a_number_and_the_order_of_loads_change_no_fingerprint():
+    """A run was not gone on with where the frequency came as 600 or from an array in place of 600.0."""
+    one, two = np.ones(26), np.full(26, 2.0)
+    stated = ContactProblem(dovetail(), LAWS, 600.0, 5, samples=128, rho_normal=np.full(6, 1e9), load={0: one, 1: two})
+    same = [
+        replace(stated, frequency=600),
+        replace(stated, frequency=np.float64(600)),
+        replace(stated, load={1: two, 0: one}),
+    ]
+    same += [replace(stated, harmonics=np.int64(5)), replace(stated, samples=np.int32(128))]
+    same += [replace(stated, rho_normal=np.full(6, 10**9)), replace(stated, laws=ContactLaws(friction=np.float64(0.3)))]
+    assert {fingerprint(problem) for problem in same} == {fingerprint(stated)}
+    assert fingerprint((1, 3, 5)) == fingerprint([1.0, 3, np.int64(5)]) == fingerprint(range(1, 7, 2))
+    assert fingerprint(np.True_) == fingerprint(True) != fingerprint(1) == fingerprint(np.array(1.0))
+    apart = [
+        (1, 2, 3),
+        ((1, 2), 3),
+        ((1,), 2, 3),
+        (1, 2),
+        {1: 2},
+        {2: 1},
+        ({1: 2}, 3),
+        {1: 2, 3: 4},
+        "1",
+        None,
+        1 + 1e-16j,
+    ]
+    assert len({fingerprint(item) for item in apart}) == len(apart)
+
+
 def test_work_under_an_own_law_is_not_gone_on_with_under_another(tmp_path):
     """The same name and parameters, but the file has been mended since."""
     written = """

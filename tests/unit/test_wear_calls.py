@@ -252,6 +252,16 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_solve(place, messag
         evolve_wear(pose(), 2, WEAR, file=tmp_path / place)
 
 
+def test_a_file_is_gone_on_with_whatever_the_types_of_its_numbers(tmp_path, monkeypatch):
+    """It was said to hold another calculation."""
+    first = evolve_wear(pose(), 2, WEAR, Tolerance(first=2), file=tmp_path / "wear.h5")
+    monkeypatch.setattr(wear, "check_place", lambda _: pytest.fail("not finished"))
+    same = replace(pose(), frequency=np.int64(600), harmonics=np.int64(5))
+    jump, tolerance = Tolerance(share=np.float64(0.01), first=np.int64(2)), np.float64(1e-8)
+    again = evolve_wear(same, np.int64(2), np.float64(WEAR), jump, file=tmp_path / "wear.h5", tolerance=tolerance)
+    np.testing.assert_array_equal(again.depth, first.depth)
+
+
 def test_a_finished_file_is_read_where_nothing_can_be_written(tmp_path, monkeypatch):
     run = lambda: evolve_wear(pose(), 2, WEAR, file=tmp_path / "wear.h5")  # noqa: E731
     first = run()
