@@ -129,7 +129,7 @@ class WearRun:
         solves, length, growth = 0, 1, GROWTH
         if self.jump:
             cap = np.inf if self.jump.damped else SAFETY * limit
-            length = int(max(1, min(state.jump, cap, self.cycles - here.cycle)))
+            length = int(max(1, min(state.jump, cap, self.cycles - here.cycle, self._reach(here))))
         while True:
             solves += 1
             try:
@@ -199,6 +199,13 @@ class WearRun:
             state, last = self._look_at(state, state.latest) if self.judge else (state, state.latest)
             state = replace(state, latest=last, steps=(*state.steps, last))
         return replace(state, stopped=f"after {state.latest.cycle} cycles: {why}")
+
+    def _reach(self, here: WearStep) -> float:
+        """Cycles after which the first pair is deeper than allowed, at the rate of this one."""
+        if self.deepest is None:
+            return np.inf
+        wears = here.rate > 0
+        return np.floor(np.min((self.deepest - here.depth[wears]) / here.rate[wears])) + 1
 
     def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
         part = np.sqrt(length / self.cycles)

@@ -209,7 +209,7 @@ def evolve_wear(
         jump: Error control of jumps over many cycles at once, ``Tolerance()`` as a scene has it; None: every cycle is
             solved.
         keep_every: Steps are kept at least so many cycles apart; the first and last always are.
-        deepest: Stop where some pair has worn deeper than this [m].
+        deepest: Stop where some pair has worn deeper than this [m]; a jump goes no farther than about there.
         file: HDF5 file of the history, from which an interrupted run goes on. The same run unbroken or resumed, however
             often and wherever it was killed, leaves the same file, byte for byte. None: nothing is written.
         checkpoint_every: Solves between two updates of ``file`` at most, which is also written after some seconds of

@@ -358,6 +358,15 @@ def test_a_jump_over_a_quarter_of_all_cycles_may_be_off_by_half_of_the_tolerance
     assert run._allowed(run.begin().latest, 100, np.zeros((6, 6))) == pytest.approx(5e-7, rel=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.001, 0.01])
+def test_jumps_stop_where_single_cycles_do(share):
+    """They ran on to nearly four times the depth that was to end them."""
+    usual, jumps = (evolve_wear(pose(), 30000, WEAR, jump, deepest=2e-6) for jump in (None, Tolerance(share=share)))
+    assert abs(jumps.cycles[-1] - usual.cycles[-1]) <= 1 and len(jumps.steps) < len(usual.steps) / 3
+    assert 2e-6 < jumps.depth[-1].max() <= 2e-6 + 1.5 * jumps.rate[-1].max()
+    assert "more than 2e-06 m" in jumps.stopped and jumps.depth[-2].max() < 2e-6
+
+
 def test_a_single_cycle_takes_every_fallback(monkeypatch):
     """No shorter jump can replace it."""
     follow = cycle_jumps.solve_from
