@@ -130,7 +130,7 @@ def pair_interface(
     mesh, beyond = structure.mesh, ring.flanks if ring else {}
     _check_names(mesh, [body_a, *filter(None, [body_b])], [*(flanks or ()), *chain.from_iterable(beyond.values())])
     # ranks must go through the same collective calls in the same order
-    sides = {} if body_b is None else _find_sides(structure, flanks, body_a, body_b, in_use)
+    sides, apart = ({}, []) if body_b is None else _find_sides(structure, flanks, body_a, body_b, in_use)
     if not (sides or beyond):
         raise InterfaceError(
             f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
@@ -144,8 +144,10 @@ def pair_interface(
     on = (*sides, *(side for side, _ in beyond.values()))
     for name, (side, other) in beyond.items():
         sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
-    names, closes = tuple(sides), "; see sectors, centre, axis and which comes first in cyclic.flanks" if beyond else ""
-    paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes if n in beyond else "") for n in names]
+    closes = dict.fromkeys(beyond, "; see sectors, centre, axis and which comes first in cyclic.flanks")
+    closes |= dict.fromkeys(apart, "; or, if it is no flank, name the flanks in contact.flanks")
+    names = tuple(sides)
+    paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes.get(n, "")) for n in names]
     for name, (a, b) in zip(names, paired, strict=True):
         _check_smooth(name, a)
         _check_opposed(name, a, b, *whose[name])
@@ -213,15 +215,15 @@ def _lay_pairs(
 
 def _find_sides(
     structure: elasticity.Structure, flanks: Sequence[str] | None, body_a: str, body_b: str, in_use: Sequence[str]
-) -> dict[str, tuple[_Side, _Side]]:
-    """Both sides of each flank within the mesh, by name."""
+) -> tuple[dict[str, tuple[_Side, _Side]], list[str]]:
+    """Both sides of each flank, by name; and on which, that nobody named, the bodies do not lie face to face."""
     names = sorted(structure.mesh.boundaries) if flanks is None else flanks
     sides = {name: tuple(_gather_side(structure, name, body) for body in (body_a, body_b)) for name in names}
     if flanks is not None:
-        return sides
+        return sides, []
     sides = {name: pair for name, pair in sides.items() if all(len(side.nodes) for side in pair)}
-    apart = [name for name in sides if name in in_use and not _find_bodies_on(structure, name)]
-    return {name: pair for name, pair in sides.items() if name not in apart}
+    apart = [name for name in sides if not _find_bodies_on(structure, name)]
+    return {name: pair for name, pair in sides.items() if name not in {*apart} & {*in_use}}, apart
 
 
 def _turn(side: _Side, ring: Ring, dimension: int) -> _Side:
@@ -310,7 +312,7 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str | None =
 def _pair_sides(
     name: str, a: _Side, b: _Side, body_a: str, body_b: str, tolerance: float, closes: str = ""
 ) -> tuple[_Side, _Side]:
-    """Both sides of a flank, ordered along the tangent of A, node by node; ``closes`` ends what is said of places."""
+    """Both sides of a flank, ordered along the tangent of A, node by node; ``closes`` ends what is said of nodes."""
     outlines = _say_outlines(a.position.shape[1])
     shared = np.flatnonzero(np.isin(a.nodes, b.nodes))
     if len(shared):
@@ -323,7 +325,7 @@ def _pair_sides(
         if not (len(a.nodes) and len(b.nodes)):
             remedy = f"a flank has {outlines} of both bodies: name one in contact.flanks, or leave that out for all"
         raise InterfaceError(
-            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}'
+            f'flank "{name}": {len(a.nodes)} nodes on the {body_a}, {len(b.nodes)} on the {body_b}; {remedy}{closes}'
         )
     order = (follow_tangent if a.position.shape[1] == 2 else follow_rows)(a.position, a.normal)
     length = np.linalg.norm(np.ptp(a.position, axis=0))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import gmsh
 
 
-def build(*, width: float = 0.04, height: float = 0.02) -> None:
+def build(*, width: float = 0.04, height: float = 0.02, rows: int = 5) -> None:
     """Adds blocks of a width and height [m] to the current gmsh model, and the groups blade, disk, joint, sides, ends.
+
+    Of elements there are 5 along each side, but ``rows`` over the height of the blade.
 
     The sides are flush, so that the curves of "sides" go on across the joint; "ends" are its top and bottom. There is a
     group "clamp" on the other side of the disk.
@@ -17,8 +19,8 @@ def build(*, width: float = 0.04, height: float = 0.02) -> None:
         points = [geo.addPoint(x, y, 0.0) for x, y in corners]
         lines.append([geo.addLine(points[i], points[(i + 1) % 4]) for i in range(4)])
         surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(lines[k])]))
-        for line in lines[k]:
-            geo.mesh.setTransfiniteCurve(line, 6)
+        for i, line in enumerate(lines[k]):
+            geo.mesh.setTransfiniteCurve(line, 1 + (rows if (k, i % 2) == (1, 1) else 5))
         geo.mesh.setTransfiniteSurface(surfaces[k])
         geo.mesh.setRecombine(2, surfaces[k])
     geo.synchronize()

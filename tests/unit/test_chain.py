@@ -160,7 +160,7 @@ loads.push = {{ boundary = "clamp", force = [1, 0] }}
 
 def test_what_fails_in_a_mesh_of_millimetres_tells_of_them(tmp_path):
     """The doubt about its length is told with the rest, which the failure would else keep back."""
-    parameters = "width = 40.0, blade_height = 60.0, columns = 6, disk_columns = 5"
+    parameters = "width = 40.0, blade_height = 60.0, disk_height = 30.0, columns = 6, disk_columns = 5"
     (tmp_path / "scene.toml").write_text(write_blocks(parameters=parameters))
     with pytest.raises(
         InterfaceError, match=r"same transfinite count; geometry: the mesh is \d\S+ m long; .* mm meant"

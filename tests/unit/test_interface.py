@@ -140,7 +140,7 @@ def test_fir_tree_flanks_press_when_the_blade_is_pulled_out():
 def test_unequal_node_counts_are_named():
     structure = assemble(columns=9, disk_columns=10)
     with pytest.raises(
-        InterfaceError, match=r'flank "joint": 10 nodes on the blade, 11 on the disk; .*transfinite count'
+        InterfaceError, match=r'flank "joint": 10 nodes on the blade, 11 on the disk; .*transfinite count$'
     ):
         pair_interface(structure)
 
@@ -170,6 +170,20 @@ def test_a_boundary_in_use_is_a_flank_only_where_the_bodies_lie_face_to_face():
         pair_interface(structure)
     assert pair_interface(structure, in_use=["sides", "ends"]).flanks == ("joint",)
     assert pair_interface(structure, in_use=["sides", "ends", "joint"]).flanks == ("joint",)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"), [(5, "the blade node at .* is 0.04 m away"), (7, "8 nodes on the blade, 6 on")]
+)
+def test_a_boundary_that_may_be_no_flank_is_told_so(rows, told):
+    """Where nobody named the flanks, and the bodies do not lie face to face."""
+    structure, words = assemble(PILE.with_name("flush_blocks.py"), rows=rows), "name the flanks in contact.flanks"
+    free, named = ("ends", "sides") if rows == 5 else ("sides", "ends")
+    with pytest.raises(InterfaceError, match=rf'flank "{free}": {told}.*; or, if it is no flank, {words}$'):
+        pair_interface(structure, in_use=[named])
+    with pytest.raises(InterfaceError, match=rf'flank "{free}": {told}') as refused:
+        pair_interface(structure, ["joint", free])
+    assert words not in str(refused.value)
 
 
 def test_two_nodes_have_no_partner_in_common():
