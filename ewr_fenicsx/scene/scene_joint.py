@@ -57,7 +57,8 @@ class Contact(Section):
     flanks: tuple[str, ...] | None = entry(
         None,
         "-",
-        "Boundaries in contact; by default all that both bodies share, but for those held, loaded or followed.",
+        "Boundaries in contact; by default all that both bodies share, but of those held, loaded or followed only "
+        "where the bodies lie face to face.",
         min_length=1,
     )
     law_files: tuple[Path, ...] = entry(

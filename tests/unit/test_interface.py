@@ -26,6 +26,7 @@ BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
 ROOT = Path(__file__).parents[2]
 FIR_TREE = ROOT / "geometry" / "fir_tree.py"
 DEMOS = {scene.geometry.source.stem: scene for scene in map(load_scene, sorted((ROOT / "demos").glob("*.toml")))}
+SCENES = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")
 ANGLE = 25.0
 NORMAL = np.array([np.sin(np.radians(ANGLE)), -np.cos(np.radians(ANGLE))])  # out of the blade, into the disk
 
@@ -164,7 +165,8 @@ def test_nodes_further_apart_than_the_tolerance_are_named():
 
 
 def test_a_boundary_in_use_is_a_flank_only_where_the_bodies_lie_face_to_face():
-    """One group may hold the feet of both bodies; a flank that is held by mistake stays one, and is refused later."""
+    """As the scene's reference says. A group may hold the feet of both bodies; a flank held by mistake stays one."""
+    assert "of those held, loaded or followed only where the bodies lie face to face" in SCENES
     structure = assemble(PILE.with_name("flush_blocks.py"))
     with pytest.raises(InterfaceError, match=r'flank "(sides|ends)": '):
         pair_interface(structure)
