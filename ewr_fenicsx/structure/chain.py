@@ -275,9 +275,12 @@ def check_names(scene: Scene, mesh: JointMesh) -> None:
     for what, keys, known in (("body", bodies, mesh.bodies), ("boundary", boundaries, mesh.boundaries)):
         for key, name in keys.items():
             if name not in known:
+                hint = nearest(name, known)
+                if key == "supports.clamp[0]" and "clamp" not in scene.supports.model_fields_set:
+                    hint += "; that is the default: name what is clamped, or give supports.clamp = []"
                 raise SceneError(
                     f'{scene.where}: {key} = "{name}": {scene.geometry.source.name} has no physical group of that name '
-                    f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{nearest(name, known)}"
+                    f"for a {what}, only {', '.join(sorted(known)) or 'unnamed ones'}{hint}"
                 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import make_dataclass
 
 import dolfinx
@@ -131,6 +132,26 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     (tmp_path / "scene.toml").write_text(write_blocks(source=pile))
     (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
     assert 'boundary "lid" lies on' in doubt and "a joint is between blade and disk, on joint;" in doubt
+
+
+def test_a_clamp_that_nobody_wrote_is_told_to_be_the_default(tmp_path):
+    """Where the mesh has none; the remedy builds the chain, and a name that somebody wrote is no default."""
+    scene = f"""
+geometry.source = "{BLOCKS.with_name("shrouds.py")}"
+contact = {{ body_a = "left", body_b = "right" }}
+supports.hold = {{ root_left = "y", root_right = "xy" }}
+loads.push = {{ boundary = "top_left", force = [1, 0] }}
+"""
+    missing = (
+        r'supports\.clamp\[0\] = "clamp": shrouds.py has no physical group of that name for a boundary, only face, '
+    )
+    default = "; that is the default: name what is clamped, or give supports.clamp = []"
+    for written, hint in (("", default), ('supports.clamp = ["clamp"]', "")):
+        (tmp_path / "scene.toml").write_text(scene + written)
+        with pytest.raises(SceneError, match=f"{missing}.*, top_right{re.escape(hint)}$"):
+            chain.build_chain(load_scene(tmp_path / "scene.toml"))
+    (tmp_path / "scene.toml").write_text(scene + "supports.clamp = []")
+    assert chain.build_chain(load_scene(tmp_path / "scene.toml")).interface.flanks == ("face",)
 
 
 def test_a_crack_within_a_body_is_told(tmp_path):
