@@ -33,7 +33,7 @@ from ewr_fenicsx.structure.elasticity import Structure
 from ewr_fenicsx.structure.interface import Interface
 from ewr_fenicsx.structure.modes import Modes, full_stick_modes, group_equal, orient_modes, solve_modes
 from ewr_fenicsx.structure.projection import project
-from ewr_fenicsx.structure.rigid_motions import find_rigid_motions
+from ewr_fenicsx.structure.rigid_motions import find_rigid_motions, refuse_hinges
 from ewr_fenicsx.structure.sector_cuts import SectorCuts, list_boundary
 
 _NEGLIGIBLE = 1e-8  # a load vector of which less than this lies outside the modes adds nothing but rounding
@@ -142,13 +142,15 @@ def reduce_structure(
 
     Raises:
         InterfaceError: So many pairs that the machine has not the memory.
-        ModesError: Modes that did not converge; a part of the mesh that nothing holds; a rigid motion of a body that is
-            not free of elastic forces.
+        ModesError: Modes that did not converge; a part of the mesh that nothing holds; bodies that turn about nodes
+            that they share; a rigid motion of a body that is not free of elastic forces.
     """
     comm = structure.mass.comm.tompi4py()
     first = structure.mass.getOwnershipRange()[0]
     contact = _contact_dofs(interface, structure.fixed)
     find_rigid_motions(structure, interface, contact)  # refuses what floats, before a singular matrix is factorised
+    if cuts is None:  # what the next sector holds is not known here
+        refuse_hinges(structure)
     boundary = list_boundary(contact, cuts)
     columns = len(boundary) + min(modes, structure.mass.getSize()[0])  # too many modes are refused as such, below
     _check_memory(comm.allreduce(structure.mass.getLocalSize()[0], MPI.MAX), columns, len(interface.area))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import ModesError
+from ewr_fenicsx.structure.boundaries import tell_place
 from ewr_fenicsx.structure.elasticity import Structure, body_nodes
 from ewr_fenicsx.structure.interface import Interface
 
@@ -88,9 +90,14 @@ def _move(place: np.ndarray, component: np.ndarray, centre: np.ndarray, reach: f
     return np.column_stack([along, *turns])
 
 
+def _gather_nodes(structure: Structure) -> dict[str, np.ndarray]:
+    """Global numbers of each body's nodes, from all ranks."""
+    comm = structure.mass.comm.tompi4py()
+    return {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}
+
+
 def _refuse_loose(structure: Structure, loose: list[int]) -> None:
-    comm, part = structure.mass.comm.tompi4py(), structure.part
-    nodes = {body: np.concatenate(comm.allgather(body_nodes(structure, body))) for body in structure.mesh.bodies}
+    part, nodes = structure.part, _gather_nodes(structure)
     if names := [f'"{body}"' for body, of_body in nodes.items() if np.isin(part[of_body], loose).any()]:
         held = np.isin(part[structure.fixed // structure.mesh.dimension], loose).any()
         why = "what is held of it along some axes leaves it free" if held else "no node of it is held"
@@ -98,3 +105,63 @@ def _refuse_loose(structure: Structure, loose: list[int]) -> None:
             f"nothing holds {' and '.join(names)}, or a piece of it: {why}, and none is in contact; clamp it, "
             "let it share nodes with what is held, or leave it out"
         )
+
+
+def refuse_hinges(structure: Structure) -> None:
+    """Refuses bodies that are one part, by the nodes that they share, and that can turn about these; collective.
+
+    Raises:
+        ModesError: Names two such bodies and a node.
+    """
+    d, part, comm = structure.mesh.dimension, structure.part, structure.mass.comm.tompi4py()
+    nodes = _gather_nodes(structure)
+    common = {both: np.intersect1d(*(nodes[body] for body in both)) for both in itertools.combinations(nodes, 2)}
+    shared = np.unique(np.concatenate([*common.values(), np.empty(0, dtype=np.int64)]))
+    first, last = (end // d for end in structure.mass.getOwnershipRange())
+    mine = shared[(shared >= first) & (shared < last)] - first
+    place = np.concatenate(comm.allgather(structure.space.tabulate_dof_coordinates()[mine, :d]))
+    for number in np.unique(part[shared]):
+        here = {both: np.flatnonzero(np.isin(shared, at[part[at] == number])) for both, at in common.items()}
+        here = {both: at for both, at in here.items() if len(at)}
+        as_one = find_free_motions(structure, part == number).shape[1]
+        if _count_motions(structure, number, nodes, place, here) <= as_one:
+            continue
+        one, other = both = min(here, key=lambda both: len(here[both]))
+        count, spot = len(here[both]), tell_place(place[here[both][0]])
+        raise ModesError(
+            f'"{one}" and "{other}" share {count} node{"s" * (count > 1)}, as at {spot}, about which they turn freely, '
+            "as on a hinge; let them share none, or those of a whole facet"
+        )
+
+
+def _count_motions(
+    structure: Structure,
+    number: int,
+    nodes: Mapping[str, np.ndarray],
+    place: np.ndarray,
+    shared: Mapping[tuple[str, str], np.ndarray],
+) -> int:
+    """How many motions supports leave to the bodies of a part, each of them rigid.
+
+    Args:
+        structure: With its supports.
+        number: Of the part.
+        nodes: Of each body.
+        place: Of shared nodes, ``(n, d)`` [m].
+        shared: Which of these two bodies share in this part.
+    """
+    d, bodies = structure.mesh.dimension, sorted({body for both in shared for body in both})
+    mine = structure.part[structure.fixed // d] == number
+    held, held_place = structure.fixed[mine], structure.fixed_places[mine]
+    centre = place[np.concatenate([*shared.values()])].mean(axis=0)
+    reach = float(np.abs(np.vstack([place, held_place]) - centre).max()) or 1.0
+    rows = []
+    for body in bodies:
+        on = np.isin(held // d, nodes[body])
+        stopped = _move(held_place[on], held[on] % d, centre, reach)
+        rows.append(np.hstack([stopped * (body == other) for other in bodies]))
+    for (one, other), at in shared.items():
+        moved = _move(np.repeat(place[at], d, axis=0), np.tile(np.arange(d), len(at)), centre, reach)
+        rows.append(np.hstack([moved * ((body == one) - (body == other)) for body in bodies]))
+    sizes = np.linalg.svd(np.vstack(rows), compute_uv=False)
+    return rows[0].shape[1] - np.count_nonzero(sizes > _HELD * sizes.max())

@@ -13,7 +13,7 @@ from mpi4py import MPI
 from small_scenes import BLOCKS, write_blocks
 
 from ewr_fenicsx import load_scene
-from ewr_fenicsx.errors import InterfaceError, SceneError
+from ewr_fenicsx.errors import InterfaceError, ModesError, SceneError
 from ewr_fenicsx.laws import law_kinds
 from ewr_fenicsx.structure import _compat, chain
 from ewr_fenicsx.structure.chain import Stopwatch, add_times
@@ -166,6 +166,24 @@ def test_a_crack_within_a_body_is_told(tmp_path):
         in told[""]
     )
     assert 'boundary "lid" lies on two pieces of blade' in told["lid"]
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_bodies_that_share_a_node_beside_their_flank_are_told_of_it(tmp_path, degree):
+    """They turn about it, as on a hinge: not where the blade is held against that, or has a node of its own."""
+    elements = f"[elasticity]\ndegree = {degree}"
+
+    def build(share: bool, *more: str) -> chain.Chain:
+        text = write_blocks(
+            elements, *more, source=BLOCKS.with_name("hinged.py"), parameters=f"share = {share}".lower()
+        )
+        (tmp_path / "scene.toml").write_text(text)
+        return chain.build_chain(load_scene(tmp_path / "scene.toml"))
+
+    with pytest.raises(ModesError, match=r'"blade" and "disk" share 1 node, as at \(0, 0\) m, about which they turn'):
+        build(True)
+    assert build(False).reduction.model.rigid_modes.shape[1] == 3
+    assert build(True, "[supports]\nhold = { side = 'x' }").reduction.model.rigid_modes.shape[1] == 0
 
 
 def test_one_group_may_hold_both_bodies_or_be_followed_on_both(tmp_path):
