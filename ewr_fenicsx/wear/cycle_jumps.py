@@ -205,7 +205,8 @@ class WearRun:
         if self.deepest is None:
             return np.inf
         wears = here.rate > 0
-        return np.floor(np.min((self.deepest - here.depth[wears]) / here.rate[wears])) + 1
+        left = (self.deepest - here.depth[wears]) / here.rate[wears]
+        return np.floor(left.min(initial=np.inf)) + 1
 
     def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
         part = np.sqrt(length / self.cycles)

@@ -64,10 +64,10 @@ def test_wear_without_the_areas_of_pairs_takes_ones_and_says_so():
     )
 
 
-@pytest.mark.parametrize("jump", [None, Tolerance()])
-def test_a_joint_that_does_not_slide_is_solved_once(jump):
+@pytest.mark.parametrize("jump, deepest", [(None, None), (Tolerance(), None), (Tolerance(), 1e-9)])
+def test_a_joint_that_does_not_slide_is_solved_once(jump, deepest):
     """Every cycle was solved to add nothing."""
-    history = evolve_wear(replace(pose(), laws=ContactLaws(friction=20.0)), 1000, WEAR, jump)
+    history = evolve_wear(replace(pose(), laws=ContactLaws(friction=20.0)), 1000, WEAR, jump, deepest=deepest)
     assert history.solves == 1 and list(history.cycles) == [0, 1000]
     assert not np.any(history.depth) and history.stopped is None
     lines = tell_wear(history, 1.0, 5)
