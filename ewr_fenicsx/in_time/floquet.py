@@ -31,7 +31,7 @@ from ewr_fenicsx.in_time.deviations import (
     watch_course,
 )
 from ewr_fenicsx.in_time.followed_modes import follow_modes
-from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
+from ewr_fenicsx.in_time.hill import FOLLOWS, Hill, measure_edges
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
@@ -55,6 +55,7 @@ NEAR, AT_ONE = 0.25, 3e-3  # it went by less than this share of its oscillation,
 NEWTON_STEPS, SOLVED, ELSEWHERE = 30, 1e-6, 1e-3
 # A guess may be too small: where Hill's matrix has few unknowns, the largest is looked at from this multiplier on
 DOUBTFUL, LITTLE = 0.85, 400
+EDGE = 0.5  # share of a deviation at the outermost harmonics, from which on it is cut off there; evenly spread: 0.36
 GUESSES = 3  # at most, by each way of stepping
 TURN = 2  # samples along the motion in time, for which a mass that turns may stick
 NEUTRAL = 0.01  # distance from one, up to which a guess may be of what is neutral: where a body has slid to
@@ -223,7 +224,8 @@ def read_exponents(stepped: Monodromy, omega: float, least: float) -> ComplexArr
 
 def refine(system: ContactSystem, slopes: Slopes, guess: complex) -> complex:
     """The largest of the multipliers with exponents near a guess that count; 0 where none does."""
-    exponents = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()[0]
+    exponents, motions = Hill(system, slopes, guess, count_harmonics(system, slopes)).find_nearest()
+    exponents = exponents[measure_edges(motions) < EDGE]
     found = max(np.exp(2 * np.pi * exponents / system.compliance.omega), key=abs, default=0.0)
     return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
 

@@ -23,7 +23,7 @@ import numpy as np
 import scipy.linalg
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
-from ewr_fenicsx.given import ComplexArray
+from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import Slopes, eliminate_steady
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes
 from ewr_fenicsx.problem.contact_system import ContactSystem
@@ -144,6 +144,16 @@ class Hill:
                 sampled[:, slope.at] += slope.values * histories[slope.variable][:, slope.columns]
         told[:, slopes.changing] = np.fft.fft(sampled, axis=0)[self.orders]
         return told
+
+
+def measure_edges(motions: ComplexArray) -> RealArray:
+    """``(k,)`` share of deviations ``(k, 2 N + 1, p)`` at the outermost harmonics, two on either side.
+
+    Where it is large a deviation is cut off there, and its exponent is none; nor is that of what does not move.
+    """
+    shares = np.sum(np.abs(motions) ** 2, axis=2)
+    outermost, whole = shares[:, :2].sum(axis=1) + shares[:, -2:].sum(axis=1), shares.sum(axis=1)
+    return np.divide(outermost, whole, out=np.ones_like(whole), where=whole > 0)
 
 
 def _multiply(matrices: np.ndarray, vectors: ComplexArray) -> ComplexArray:

@@ -20,7 +20,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import Slopes, differentiate_laws
 from ewr_fenicsx.in_time.floquet import FEWEST, GROWTH, SAMPLES
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_waves
-from ewr_fenicsx.in_time.hill import FOLLOWS, Hill
+from ewr_fenicsx.in_time.hill import FOLLOWS, Hill, measure_edges
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
 MOST_WORK = 2.5e10  # multiplications: some seconds
@@ -29,8 +29,7 @@ EIGENVECTORS, INVERSE, EACH = 10, 4, 3e7
 # Points of the imaginary axis, over the frequency, around which exponents are looked for, how far beside it, and how
 # many at each: exponents and waves repeat with the frequency.
 ALONG, BESIDE, FEW = (-0.375, -0.125, 0.125, 0.375), 0.01, 6
-# Share of a deviation at the outermost harmonics, two on either side, from which on its exponent is none: cut off there
-EDGE = 0.1
+EDGE = 0.1  # share of a deviation at the outermost harmonics, from which on it is cut off there
 
 
 class RingGrowth(NamedTuple):
@@ -94,9 +93,9 @@ def _look_along(system: ContactSystem, slopes: Slopes, modes: Followed, top: int
     here, found = modes.pick(waves), []
     for place in ALONG:
         exponents, motions = Hill(system, slopes, (BESIDE + 1j * place) * omega, top, here).find_nearest(FEW)
-        for exponent, motion in zip(exponents, motions, strict=True):
-            shares = np.sum(np.abs(motion) ** 2, axis=1)
-            if shares[:2].sum() + shares[-2:].sum() < EDGE * shares.sum():
-                factor = float(np.exp(2 * np.pi * exponent.real / omega))
-                found.append(RingGrowth(factor, ring.count_diameters(int(waves[np.argmax(shares)]))))
+        whole = measure_edges(motions) < EDGE
+        for exponent, motion in zip(exponents[whole], motions[whole], strict=True):
+            factor = float(np.exp(2 * np.pi * exponent.real / omega))
+            wave = waves[np.argmax(np.sum(np.abs(motion) ** 2, axis=1))]
+            found.append(RingGrowth(factor, ring.count_diameters(int(wave))))
     return found

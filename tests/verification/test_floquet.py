@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hard_cases import Case, pose_case
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from small_models import dovetail, repeat_first_pair, stop_oscillator
@@ -24,6 +25,7 @@ from ewr_fenicsx import (
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time import floquet
 from ewr_fenicsx.in_time.deviations import differentiate_laws
+from ewr_fenicsx.in_time.hill import measure_edges
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 DEMOS = Path(__file__).parents[2] / "demos"
@@ -229,6 +231,22 @@ def test_what_motions_in_time_do_not_bear_out_is_no_instability(monkeypatch):
     assert replace(found).multiplier == 0, "the motion settles beside it, whatever its deviations do"
     monkeypatch.setattr("ewr_fenicsx.solution.solution.settles", lambda *_: False)
     assert replace(found).multiplier == by_the_series
+
+
+def test_a_deviation_that_is_cut_off_at_the_highest_harmonics_has_no_exponent(monkeypatch):
+    """Steps so coarse that contact chatters bear it out; in 4096 a period the motion comes to repeat itself."""
+    case = Case("blade root", 0.85, ("applied", 0.3), 0.2, 15, 1e-4, "even", (1, 1))
+    found = solve(pose_case(case))
+    assert found.multiplier == 0 and not found.unstable
+    monkeypatch.setattr(floquet, "EDGE", np.inf)
+    cut_off = floquet.find_growth(found.problem, found.forces, found.rigid, found.coordinates)
+    assert abs(cut_off) > 1.1
+
+
+def test_what_is_cut_off_is_told_by_what_lies_at_the_edge():
+    inside, outside, even, still = np.zeros((4, 11, 2), dtype=complex)
+    inside[4:7], outside[-1], even[:] = 1.0, 2.0j, 0.5
+    np.testing.assert_allclose(measure_edges(np.array([inside, outside, even, still])), [0.0, 1.0, 4 / 11, 1.0])
 
 
 def test_laws_that_are_not_stepped_in_time_are_taken_by_their_series(monkeypatch):
