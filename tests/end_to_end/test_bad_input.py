@@ -298,3 +298,10 @@ def test_options_that_were_only_checked_still_count_as_not_taken(tmp_path):
 def test_options_for_petsc_are_left_to_it():
     options = ["-ewr_snes_monitor", "-ewr_snes_max_it", "30", "-options_left", "-log_view"]
     assert parse_arguments(["run", "scene.toml", "--out", "there", *options])[1] == options
+
+
+def test_importing_the_package_leaves_control_c_as_it_is():
+    """gmsh 4.8 takes it away as it is imported."""
+    code = "import signal; from ewr_fenicsx import build_reduced_model; print(signal.getsignal(signal.SIGINT).__name__)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "default_int_handler\n"
