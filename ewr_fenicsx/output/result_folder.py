@@ -150,7 +150,7 @@ def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
         raise OutputError(f"result folder {folder} is a file; give another --out")
     ancestor = next(parent for parent in place.parents if parent.exists())
     try:
-        with tempfile.TemporaryDirectory(dir=ancestor):
+        with tempfile.TemporaryDirectory(prefix=f".{place.name}{DRAFT}", dir=ancestor):  # a name as long as it will be
             pass
     except OSError as error:
         raise OutputError(

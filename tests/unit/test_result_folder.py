@@ -31,6 +31,12 @@ def test_folder_appears_at_the_end_and_nothing_else_does(tmp_path):
     assert [path.name for path in target.parent.iterdir()] == ["results"]
 
 
+def test_a_name_that_its_draft_makes_too_long_is_refused_before_any_work(tmp_path):
+    check_target(tmp_path / ("b" * 230))
+    with pytest.raises(OutputError, match="File name too long"):
+        check_target(tmp_path / ("b" * 240))
+
+
 def test_failure_leaves_nothing(tmp_path):
     with pytest.raises(ZeroDivisionError), result_folder(tmp_path / "results") as draft:
         (draft / "half.txt").write_text("written")
