@@ -100,7 +100,7 @@ class Contact(Section):
         for file in files:
             try:
                 load_laws(file)
-            except Exception as error:  # whatever the user's file does
+            except (Exception, SystemExit) as error:  # whatever the user's file does
                 what = {"file": file.name, "error": f"{type(error).__name__}: {error}"}
                 raise PydanticCustomError("law_files", "{file} cannot be run: {error}", what) from error
         return files

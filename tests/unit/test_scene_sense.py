@@ -333,10 +333,12 @@ def test_scenes_may_bring_laws_of_their_own(read, tmp_path):
         ("tangential = 'coulombe'", r"contact\.tangential = 'coulombe': should be one of .*did you mean \"coulomb\""),
         ("law_files = ['nowhere.py']", r"nowhere\.py cannot be run: FileNotFoundError"),
         ("law_files = ['broken.py']", r"broken\.py cannot be run: ZeroDivisionError: division by zero"),
+        ("law_files = ['leaves.py']", r"leaves\.py cannot be run: SystemExit: 5"),
     ],
 )
 def test_mistakes_in_own_laws_are_named(read, tmp_path, text, expected):
     (tmp_path / "broken.py").write_text("1 / 0")
+    (tmp_path / "leaves.py").write_text("raise SystemExit(5)")
     with pytest.raises(SceneError, match=expected):
         read(SCENE + "[contact]\n" + text)
 
