@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 # How long a failed rank waits for the others to fail as well before it stops them [s]
 PATIENCE = 2.0
+INTERRUPTED = 130  # exit code
 NO_ROOM = (ENOSPC, EDQUOT)  # what the system says of a full disk
 
 
@@ -344,10 +345,10 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         message = f"ewr: out of memory: {error}; take a larger mesh_size, or fewer pairs, modes or harmonics"
         code = EwrError.exit_code
     except KeyboardInterrupt as stop:
-        message, code = "; ".join(["ewr: interrupted", *map(str, stop.args)]), 130
+        message, code = "; ".join(["ewr: interrupted", *map(str, stop.args)]), INTERRUPTED
     except Exception as error:
         if _was_interrupted(error):
-            message, code = "ewr: interrupted", 130
+            message, code = "ewr: interrupted", INTERRUPTED
         elif isinstance(error, OSError) and error.errno in NO_ROOM:
             message = f"ewr: {error.filename or 'the output'} cannot be written: {error.strerror}; make room"
             code = EwrError.exit_code
@@ -358,6 +359,8 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         else:
             message, code = traceback.format_exc(), 1
     together = everyone_failed(errors)
+    if code == INTERRUPTED and not together:
+        message = f"ewr: rank {comm.rank} was interrupted, by a signal or since another rank failed"
     if comm.rank == 0 or not together:
         print(message, file=sys.stderr, flush=True)
     if not together:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import platform
 import resource
 import shutil
@@ -39,6 +40,7 @@ from ewr_fenicsx.whole_files import write_table
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
+NUMBER, A_CELL, A_FILE = 8, 64, 2**16  # bytes; numbers that a cell may take, and bytes that a file takes besides
 AWAY_FROM_CONTACT = -1.0  # contact_state of nodes that belong to no pair
 PACKAGES = (
     "numpy",
@@ -291,13 +293,29 @@ def measure_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-@contextmanager
-def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh) -> Iterator[dolfinx.io.XDMFFile]:
-    """An XDMF file that holds the mesh; collective.
+def _check_room(path: Path, domain: dolfinx.mesh.Mesh, fields: int) -> None:
+    """Refuses to write a mesh and so many fields where they have no room: on ranks, dolfinx ends the process there.
 
     Raises:
-        OSError: It cannot be written, as on a full disk.
+        OSError: Too little.
     """
+    nodes, cells = domain.geometry.index_map().size_global, domain.topology.index_map(domain.topology.dim).size_global
+    needed = A_FILE + NUMBER * (3 * nodes * (1 + fields) + A_CELL * cells)
+    free = shutil.disk_usage(path.parent).free
+    if free < needed:
+        why = f"{os.strerror(errno.ENOSPC)}: {free / 1e6:.1f} MB are free there, of up to {needed / 1e6:.1f} needed"
+        raise OSError(errno.ENOSPC, why, path)
+
+
+@contextmanager
+def _open_xdmf(path: Path, domain: dolfinx.mesh.Mesh, fields: int = 0) -> Iterator[dolfinx.io.XDMFFile]:
+    """An XDMF file that holds the mesh, with room for so many fields; collective.
+
+    Raises:
+        OutputError: It has no room.
+        OSError: It cannot be written.
+    """
+    do_with_files(lambda: _check_room(path, domain, fields), domain.comm, path)
     try:
         with dolfinx.io.XDMFFile(domain.comm, str(path), "w") as file:
             file.write_mesh(domain)
@@ -315,7 +333,7 @@ def write_series(
     path: Path, domain: dolfinx.mesh.Mesh, times: RealArray, fields: Iterable[dolfinx.fem.Function]
 ) -> None:
     """Writes fields of the degree of ``domain``, named like their file; collective."""
-    with _open_xdmf(path, domain) as file:
+    with _open_xdmf(path, domain, len(times)) as file:
         for instant, field in zip(times, fields, strict=True):
             field.name = path.stem
             file.write_function(field, instant)

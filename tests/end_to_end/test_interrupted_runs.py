@@ -10,6 +10,7 @@ import signal
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import dolfinx
 import pytest
@@ -157,6 +158,18 @@ def test_a_full_disk_loses_no_work(ewr, scene, tmp_path, monkeypatch):
     assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
 
 
+def test_fields_without_room_are_not_begun(ewr, scene, tmp_path, monkeypatch):
+    """On ranks dolfinx would end the process, with a dump, as it closes a file that HDF5 could not write."""
+    scene.write_text(STUDIES["wear"][0])
+    with monkeypatch.context() as patch:
+        patch.setattr("ewr_fenicsx.output.output.shutil.disk_usage", lambda _: SimpleNamespace(free=10_000))
+        patch.setattr("ewr_fenicsx.output.output.dolfinx.io.XDMFFile", None)
+        code, told = ewr()
+    assert code == 2
+    line = "No space left on device: 0.0 MB are free there, of up to "
+    assert re.search(rf"ewr: cannot write results: .*\.xdmf: {line}0\.\d needed; make room", told.splitlines()[-1])
+
+
 def test_a_disk_that_is_full_at_once_is_told_by_the_folder(ewr, scene, tmp_path, monkeypatch):
     """A write that fails, unlike an open that does, comes without the name of its file."""
     scene.write_text(STUDIES["wear"][0])
@@ -227,6 +240,20 @@ def test_an_interrupted_import_is_an_interruption(capsys):
 
     assert stop_together(MPI.COMM_SELF, load) == 130
     assert capsys.readouterr().err == "ewr: interrupted\n"
+
+
+def test_a_rank_that_ends_since_another_failed_says_that_it_may_be_so(monkeypatch, capsys):
+    """What MPI_Abort sends it is a signal like any."""
+    ended = []
+    comm = SimpleNamespace(rank=1, size=2, Dup=lambda: None, Abort=ended.append)
+    monkeypatch.setattr("ewr_fenicsx.cli.everyone_failed", lambda _: False)
+
+    def wait():
+        raise KeyboardInterrupt
+
+    assert stop_together(comm, wait) == 130 and ended == [130]
+    told = capsys.readouterr().err
+    assert told == "ewr: rank 1 was interrupted, by a signal or since another rank failed\n"
 
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):
