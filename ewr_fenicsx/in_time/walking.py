@@ -25,10 +25,12 @@ from ewr_fenicsx.problem.contact_system import ContactSystem
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
+DRAWN_OUT = 100.0  # at rest, where nothing is truncated: times the natural length that springs may be drawn out
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 # Periods in time for which a body is watched; and how many times faster than at their end it may have gone half-way
 # where its motion has settled
 WATCHED, NO_FASTER = 12, 1.5
+FINER, MOST_STEPS = 4, 8192  # how much shorter the steps where they may make it drift, and how many at most
 NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
@@ -65,7 +67,9 @@ class Walk(NamedTuple):
 def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
     left, largest = _leave_over(balance, unknowns)
-    return bool(left.max() > NOTICED * largest)
+    share = float(np.max(balance.static_displacement_row * balance.system.flexibility, initial=0.0))
+    noticed = NOTICED if np.any(balance.rate) else min(NOTICED, DRAWN_OUT * share)
+    return bool(left.max() > noticed * largest)
 
 
 def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray) -> Walk | None:
@@ -79,9 +83,20 @@ def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: C
     Returns:
         None where its motion cannot be stepped, or has not settled to a walk or none.
     """
+    steps, walk = STEPS_IN_TIME, _watch(problem, balance, coordinates, STEPS_IN_TIME)
+    while walk and walk.slow and steps < MOST_STEPS:  # steps hold what drifts by less than they turn friction
+        steps, coarse = FINER * steps, walk
+        walk = _watch(problem, balance, coordinates, steps)
+        if walk and walk.way > coarse.way / NO_FASTER:
+            break
+    return walk
+
+
+def _watch(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray, steps: int) -> Walk | None:
+    """The same with so many steps a period."""
     rubs, ways = balance.static_displacement_row > 0, []
     try:
-        for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), WATCHED):
+        for scheme, period in islice(step_from(problem, coordinates, steps, THETA), WATCHED):
             slip = period.positions @ scheme.rows.T
             ways.append(float(measure_in_plane(balance.system, slip[-1] - slip[0])[rubs].max()))
     except (ModelError, ImportError):

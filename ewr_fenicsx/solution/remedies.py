@@ -35,6 +35,8 @@ def list_remedies(best: PeriodicSolution) -> str:
             f". The rows of {name_pairs(alike)} depend on one another: how they share forces is open where they stick. "
             "Make them one pair, or give each a surface of its own, a massless coordinate behind a stiff spring"
         )
+    if not problem.frequency and not own:
+        return '. Try static_friction = "held", which says how the loads came, or a little more friction'
     stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
     last = f"{stepped} shows whether the motion becomes periodic at all"
     if own:

@@ -17,6 +17,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.solution.loading_history import hold_in_place
 from ewr_fenicsx.solution.remedies import list_remedies
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
@@ -80,7 +81,8 @@ def solve(
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
-    harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``); from where a
+    harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``), and at rest
+    what hangs on friction from where springs hold its pairs in place; from where a
     few periods of time stepping end, and a long splitting or Newton's path leads from there (in a ring of sectors a
     long splitting from full stick); along Newton's path while the oscillating load grows, with few samples a period
     first; from time stepping with twice as many harmonics, and down to those asked for; laws with rounded corners that
@@ -199,6 +201,8 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
+    if not problem.frequency and balance.hangs_on_friction and not np.any(balance.held):
+        yield "from where pairs are held in place", lambda _: start_held(problem, balance, tolerance, linear_solver)
     stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it
     if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
         yield "long splitting", lambda best: split_from_full_stick(balance, tolerance, linear_solver, best)
@@ -218,6 +222,15 @@ def list_rungs(
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, *fine)
     if balance.size <= LARGEST_TRACED:
         yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+
+
+def start_held(
+    problem: ContactProblem, balance: HarmonicBalance, tolerance: float, linear_solver: LinearSolver
+) -> Attempt:
+    """Newton at rest from where springs hold pairs in place, which the rungs find more often."""
+    held = solve(hold_in_place(problem), None, tolerance, linear_solver=linear_solver, raise_on_failure=False)
+    found = run_newton(balance, balance.pack(held.forces, held.rigid), tolerance, linear_solver)
+    return replace(found, iterations=found.iterations + held.iterations)
 
 
 def step_coarsely(problem: ContactProblem) -> SteadyState | str:

@@ -111,6 +111,46 @@ def test_a_body_that_walks_slowly_is_told(loads):
     assert walk.sliding == pytest.approx(solution.merit["J_T"], rel=1e-2)
 
 
+def test_odd_loads_of_unlike_phases_make_no_body_walk():
+    """The second half of a period goes the way of the first back; coarse steps alone drift."""
+    problem = sled({1: 1.0132, 3: 0.0362 - 0.1081j})
+    assert abs(drift(problem)) < 1e-5
+    solution = solve(problem)
+    assert solution.walks_slowly is None and "walk" not in solution.summary()
+
+
+@pytest.mark.parametrize("static_friction", ["resolved", "held"])
+def test_a_block_slides_down_an_incline_a_thousandth_beyond_the_friction_angle(static_friction):
+    """In space: the limits of its friction are a polygon in the search for what holds it."""
+    laws = ContactLaws(friction=0.3, static_friction=static_friction)
+    for steeper in (0.999, 1.001):
+        angle = np.arctan(0.3 * steeper)
+        load = {0: 10 * np.array([0.6 * np.sin(angle), 0.8 * np.sin(angle), -np.cos(angle)])}
+        rigid = {"mass": np.eye(3), "damping": np.zeros((3, 3)), "stiffness": np.zeros((3, 3))}
+        block = ReducedModel(**rigid, normal=[[0.0, 0.0, 1.0]], tangential=np.eye(3)[:2], load=load)
+        if steeper < 1:
+            assert solve(ContactProblem(block, laws, 0.0)).converged
+        else:
+            with pytest.raises((UnheldBody, NotConverged), match=r"walks|held"):
+                solve(ContactProblem(block, laws, 0.0))
+
+
+def test_a_ladder_stands_at_rest():
+    """By hand: the foot sticks and the top slides down the wall, N = (87.502, 24.996) and T = (-24.996, -12.498)."""
+    angle, stiffness, foot, top = np.radians(35.0), np.zeros((7, 7)), np.zeros((2, 7)), np.zeros((2, 7))
+    half = 0.5 * np.array([np.cos(angle), np.sin(angle)])
+    for at, place, rows, spring in ((3, -half, foot, (0.8e5, 1e5)), (5, half, top, (1e5, 0.8e5))):
+        ride = np.zeros((2, 7))
+        ride[:, :2], ride[:, 2], rows[:, at : at + 2] = np.eye(2), (-place[1], place[0]), np.eye(2)
+        stiffness += (ride - rows).T @ np.diag(spring) @ (ride - rows)
+    mass, load = np.diag([10.0, 10.0, 1.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, -100.0, 20 * np.cos(angle), 0, 0, 0, 0])
+    ladder = ReducedModel(mass, 0.01 * mass, stiffness, [foot[1], -top[0]], [-foot[0], -top[1]], {0: load})
+    for static_friction in ("held", "resolved"):
+        found = solve(ContactProblem(ladder, ContactLaws(friction=0.5, static_friction=static_friction), 0.0))
+        assert found.pair_forces["normal"][0].real == pytest.approx([87.502, 24.996], rel=1e-4)
+        assert found.pair_forces["tangential"][0].real == pytest.approx([-24.996, -12.498], rel=1e-3)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.5, np.pi / 4])
 def test_a_walk_in_a_plane_is_that_along_a_line_whichever_way_tangents_point(angle):
     """The sled with two tangents, neither of which need point along its way: what is told of it, and of its share."""
