@@ -147,12 +147,13 @@ class Hill:
 
 
 def measure_edges(motions: ComplexArray) -> RealArray:
-    """``(k,)`` share of deviations ``(k, 2 N + 1, p)`` at the outermost harmonics, two on either side.
+    """``(k,)`` share of deviations ``(k, 2 N + 1, p)`` at the outermost harmonics, two on either side, or one.
 
     Where it is large a deviation is cut off there, and its exponent is none; nor is that of what does not move.
     """
     shares = np.sum(np.abs(motions) ** 2, axis=2)
-    outermost, whole = shares[:, :2].sum(axis=1) + shares[:, -2:].sum(axis=1), shares.sum(axis=1)
+    few = min(2, shares.shape[1] // 2)
+    outermost, whole = shares[:, :few].sum(axis=1) + shares[:, -few:].sum(axis=1), shares.sum(axis=1)
     return np.divide(outermost, whole, out=np.ones_like(whole), where=whole > 0)
 
 

@@ -40,7 +40,7 @@ from ewr_fenicsx.whole_files import write_table
 
 STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
-NUMBER, A_CELL, A_FILE = 8, 64, 2**16  # bytes; numbers that a cell may take, and bytes that a file takes besides
+NUMBER, A_CORNER, A_FILE = 8, 4, 2**16  # bytes; numbers that cells may take a corner, and bytes of a file besides
 AWAY_FROM_CONTACT = -1.0  # contact_state of nodes that belong to no pair
 PACKAGES = (
     "numpy",
@@ -299,8 +299,9 @@ def _check_room(path: Path, domain: dolfinx.mesh.Mesh, fields: int) -> None:
     Raises:
         OSError: Too little.
     """
-    nodes, cells = domain.geometry.index_map().size_global, domain.topology.index_map(domain.topology.dim).size_global
-    needed = A_FILE + NUMBER * (3 * nodes * (1 + fields) + A_CELL * cells)
+    nodes, topology = domain.geometry.index_map().size_global, domain.topology
+    corners = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, 0) * topology.index_map(topology.dim).size_global
+    needed = A_FILE + NUMBER * (3 * nodes * (1 + fields) + A_CORNER * corners)
     free = shutil.disk_usage(path.parent).free
     if free < needed:
         why = f"{os.strerror(errno.ENOSPC)}: {free / 1e6:.1f} MB are free there, of up to {needed / 1e6:.1f} needed"

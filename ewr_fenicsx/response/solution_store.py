@@ -8,7 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from numbers import Number
+from numbers import Integral, Number, Real
 
 import h5py
 import numpy as np
@@ -163,7 +163,8 @@ def _feed(update: Callable[[bytes], None], item: object) -> None:
         update(f"{item.dtype}{item.shape}".encode())
         update(np.ascontiguousarray(item).tobytes())
     elif isinstance(item, Number) and not isinstance(item, bool):
-        update(f"number {complex(item)}".encode())
+        whole = isinstance(item, Integral) or (isinstance(item, Real) and float(item).is_integer())
+        update(f"number {int(item) if whole else complex(item)}".encode())
     elif is_dataclass(item):
         update(type(item).__name__.encode())
         for entry in fields(item):

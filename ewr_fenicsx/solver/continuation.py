@@ -32,7 +32,7 @@ _MOST_LEFT, _SLOW, _PATIENCE = 1.0, 0.3, 3
 # Share of the residual that a step must take away, and its least length: the first with its factors, and further ones.
 _FIRST, _FURTHER = (1e-4, 1e-3), (0.7, 1.0)
 _AROUND, _LEAP = 0.2, 5e-3  # a longer step that turns the tangent by an angle of a smaller cosine leapt over a corner
-_NEAREST, _ROOMY = 1e-4, 0.9  # step that is short enough for any room; share of the room that the next step goes for
+_NEAREST, _ROOMY = 1e-6, 0.9  # step that is short enough for any room; share of the room that the next step goes for
 _LARGE = 0.3  # share of the norm of the unknowns by which steps may be longer, where that is above one: rarely it is
 _STRAIGHT, _ALONG = 0.9, 0.5  # cosine above which a branch goes straight on; and above which two tangents are one
 _AGAIN, _ASIDE, _ASKEW = 3, 0.03, 0.97  # points that retrace a branch: how many, how far aside in steps, least cosine

@@ -158,10 +158,11 @@ def _count_motions(
     rows = []
     for body in bodies:
         on = np.isin(held // d, nodes[body])
-        stopped = _move(held_place[on], held[on] % d, centre, reach)
+        stopped = np.linalg.qr(_move(held_place[on], held[on] % d, centre, reach), mode="r")  # as much, in few rows
         rows.append(np.hstack([stopped * (body == other) for other in bodies]))
     for (one, other), at in shared.items():
         moved = _move(np.repeat(place[at], d, axis=0), np.tile(np.arange(d), len(at)), centre, reach)
+        moved = np.linalg.qr(moved, mode="r")
         rows.append(np.hstack([moved * ((body == one) - (body == other)) for body in bodies]))
     sizes = np.linalg.svd(np.vstack(rows), compute_uv=False)
     return rows[0].shape[1] - np.count_nonzero(sizes > _HELD * sizes.max())

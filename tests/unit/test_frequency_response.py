@@ -73,6 +73,15 @@ def test_neighbours_on_a_refined_curve_are_as_near_as_asked_beyond_its_folds_too
     assert np.mean(changes) > 0.4 * refine, "and no more points than that takes"
 
 
+def test_a_sharp_peak_that_is_traced_is_refined_as_well():
+    """It is so narrow that steps of a ten thousandth of the range were too long."""
+    laws = ContactLaws("prescribed", normal_force=0.01, friction=0.5)
+    peaked, points = friction_oscillator(damping=1e-4), np.linspace(0.12, 0.2, 5)
+    curve = frequency_response(peaked, laws, points, 3, progress=False, refine=0.03)
+    changes = [following.compare_states(*map(following.read_state, pair)) for pair in pairwise(curve.solutions)]
+    assert max(changes) <= 0.03 * (1 + 1e-9)
+
+
 def test_several_values_of_a_parameter_give_a_curve_each():
     family = {mu: replace(LAWS, friction=mu) for mu in (0.1, 0.3)}
     curves = sweep(laws=family)

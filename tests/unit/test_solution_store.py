@@ -107,6 +107,8 @@ def test_the_type_of_a_number_and_the_order_of_loads_change_no_fingerprint():
         "1",
         None,
         1 + 1e-16j,
+        2**53,
+        2**53 + 1,
     ]
     assert len({fingerprint(item) for item in apart}) == len(apart)
 

@@ -247,6 +247,7 @@ def test_what_is_cut_off_is_told_by_what_lies_at_the_edge():
     inside, outside, even, still = np.zeros((4, 11, 2), dtype=complex)
     inside[4:7], outside[-1], even[:] = 1.0, 2.0j, 0.5
     np.testing.assert_allclose(measure_edges(np.array([inside, outside, even, still])), [0.0, 1.0, 4 / 11, 1.0])
+    np.testing.assert_allclose(measure_edges(inside[None, 4:7]), 2 / 3, err_msg="of three harmonics, two")
 
 
 def test_laws_that_are_not_stepped_in_time_are_taken_by_their_series(monkeypatch):
