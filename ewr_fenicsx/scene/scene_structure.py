@@ -209,7 +209,11 @@ class ForceLoad(Section):
 
 
 class RotationLoad(Section):
-    """The centrifugal body force of a rotation about an axis, in a plane normal to it; static."""
+    """The centrifugal body force of a rotation about an axis, in a plane normal to it; static.
+
+    It loads the bodies and nothing else: that tension stiffens them, and rotation softens them, is left out. A slender
+    blade at high speed has higher frequencies than are found here.
+    """
 
     kind: Literal["rotation"] = entry(..., "-", "Which kind of load this is.")
     speed: Number = entry(..., "rpm", "Speed of rotation.", gt=0, le=1e9)
