@@ -360,7 +360,7 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
             message, code = traceback.format_exc(), 1
     together = everyone_failed(errors)
     if code == INTERRUPTED and not together:
-        message = f"ewr: rank {comm.rank} was interrupted, by a signal or since another rank failed"
+        message += f" (rank {comm.rank}, by a signal or since another rank failed)"
     if comm.rank == 0 or not together:
         print(message, file=sys.stderr, flush=True)
     if not together:

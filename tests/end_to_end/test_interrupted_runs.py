@@ -252,8 +252,7 @@ def test_a_rank_that_ends_since_another_failed_says_that_it_may_be_so(monkeypatc
         raise KeyboardInterrupt
 
     assert stop_together(comm, wait) == 130 and ended == [130]
-    told = capsys.readouterr().err
-    assert told == "ewr: rank 1 was interrupted, by a signal or since another rank failed\n"
+    assert capsys.readouterr().err == "ewr: interrupted (rank 1, by a signal or since another rank failed)\n"
 
 
 def test_nothing_is_left_where_nothing_was_done_or_nothing_can_come_of_it(ewr, scene, tmp_path, monkeypatch):
