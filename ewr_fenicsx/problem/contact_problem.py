@@ -70,12 +70,12 @@ class ContactProblem:
         self.groups  # noqa: B018  laws that do not fit the model come to light here
         if not isinstance(self.frequency, Real):
             raise ModelError(f"frequency = {self.frequency!r}; give a number of Hz, zero where nothing oscillates")
+        object.__setattr__(self, "frequency", float(self.frequency))  # of few digits it would spoil all that follows
         if not (self.frequency == 0 or LOWEST_FREQUENCY < self.frequency < HIGHEST_FREQUENCY):
             raise ModelError(
                 f"frequency = {self.frequency} Hz; give a positive one from {LOWEST_FREQUENCY:g} to "
                 f"{HIGHEST_FREQUENCY:g} Hz, zero where nothing oscillates"
             )
-        object.__setattr__(self, "frequency", float(self.frequency))  # of few digits it would spoil all that follows
         if self.generalised_inverse not in (known := get_args(GeneralisedInverse)):
             raise ModelError(f"generalised_inverse = {self.generalised_inverse!r}; choose one of {', '.join(known)}")
         if isinstance(self.closure, str) and self.closure not in (known := get_args(Closure)):
