@@ -36,7 +36,9 @@ def list_remedies(best: PeriodicSolution) -> str:
             "Make them one pair, or give each a surface of its own, a massless coordinate behind a stiff spring"
         )
     if not problem.frequency and not own:
-        return '. Try static_friction = "held", which says how the loads came, or a little more friction'
+        resolved = any(laws.static_friction != "held" for _, laws in problem.groups)
+        held = 'static_friction = "held", which says how the loads came, or ' if resolved else ""
+        return f". Try {held}a little more friction"
     stepped = "integrate(...) on unroll_ring(model)" if problem.model.cyclic else "integrate(problem)"
     last = f"{stepped} shows whether the motion becomes periodic at all"
     if own:
