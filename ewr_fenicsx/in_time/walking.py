@@ -22,6 +22,7 @@ from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
 from ewr_fenicsx.laws.law_kinds import TANGENTS, choose_friction_weight
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
+from ewr_fenicsx.problem.law_claims import read_fields
 
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
@@ -126,7 +127,7 @@ def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:
     for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
         if np.any(held[rows]):
             weight[rows] = getattr(law, "rho", weight[rows])
-            sticks[rows] = 1 - np.mean(law.fields(at).get("slipping", np.zeros((1, rows.size))), axis=0)
+            sticks[rows] = 1 - np.mean(read_fields(law, at).get("slipping", np.zeros((1, rows.size))), axis=0)
     share_of_stick = max(left @ sticks / left.sum(), 1 / balance.basis.samples)
     period, speed = 2 * np.pi / omega, balance.basis.synthesise(balance.rate[:, None] * motion)
     way = period * weight * left / share_of_stick

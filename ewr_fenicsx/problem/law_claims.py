@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
-from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, Partial, Response, Variable
+from ewr_fenicsx.laws.law_kinds import DIRECTIONS, Law, Motion, Partial, Response, Variable
 
 
 def check_claims(law: Law) -> None:
@@ -74,17 +74,19 @@ def _lacks(law: Law, method: str) -> bool:
     return getattr(getattr(law, method), "__func__", None) is getattr(Law, method)
 
 
-def check_fields(law: Law, reported: object) -> None:
-    """Refuses what a law reports besides its force, where it is no dictionary.
+def read_fields(law: Law, motion: Motion) -> Mapping[str, np.ndarray]:
+    """What a law reports besides its force, name -> ``(n_t, K)``.
 
     Raises:
-        ModelError: Something else.
+        ModelError: It reports no dictionary.
     """
+    reported = law.fields(motion)
     if not isinstance(reported, Mapping):
         raise ModelError(
             f"{type(law).__name__}.fields returns {shorten(reported)}; give a dictionary, name -> values of shape "
             "(instants, pairs)"
         )
+    return reported
 
 
 def check_response(law: Law, response: object, shape: tuple[int, int]) -> None:

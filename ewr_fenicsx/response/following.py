@@ -271,7 +271,8 @@ class Follower:
             balance = balance_at(solution.problem.frequency)
             return BranchPoint(solution.problem.frequency, balance.pack(solution.forces, solution.rigid), 0)
 
-        state_at = cache(lambda point: read_state(self._wrap(point, here, balance_at)))
+        wrap = cache(lambda point: self._wrap(point, here, balance_at))
+        state_at = cache(lambda point: read_state(wrap(point)))
 
         def measure_room(a: BranchPoint, b: BranchPoint) -> float:
             change = compare_states(state_at(a), state_at(b)) if self.refine else 0.0
@@ -306,7 +307,7 @@ class Follower:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= times * TRACED_POINTS:
                 return points, f"{len(points)} points of arc-length continuation did not reach it"
-            traced = self._wrap(point, here, balance_at)
+            traced = wrap(point)
             if point.parameter >= target:
                 earlier = points[-1] if points else here
                 ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)

@@ -123,7 +123,8 @@ def frequency_response(
     store = None
     work = folder if work is None else work
     if work is not None:
-        store = BlockStore(Path(work), fingerprint(FORMAT, common, [*family.items()], targets, refine, tolerance))
+        ordered = [*family.items()]  # by their order blocks are numbered
+        store = BlockStore(Path(work), fingerprint(FORMAT, common, ordered, targets, refine, tolerance))
         places = [*([] if folder is None else [Path(folder) / RESULTS]), store.find_path(blocks[0])]
         do_together(lambda: [check_place(place) for place in places], comm)
 

@@ -138,7 +138,7 @@ def _list_laws(scene: Scene, joint: Joint) -> Iterator[Effect]:
         return Effect(name, bool(has), "; ".join(why) or f"{law}: {others}")
 
     parting = {where: laws for where, laws in joint.items() if find_kind("normal", laws.normal).opens}
-    yield by_law("separation", "normal", *{laws.normal: None for laws in parting.values()})
+    yield by_law("separation", "normal", *{laws.normal for laws in parting.values()})
     yield by_law("prescribed preload", "normal", "prescribed", tell="normal_force")
     rubbing = [laws for laws in joint.values() if laws.tangential == "coulomb" and laws.friction > 0]
     yield replace(by_law("friction", "tangential", "coulomb", tell="friction"), on=bool(rubbing))

@@ -14,7 +14,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
 from ewr_fenicsx.model.receptance import receptance
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
-from ewr_fenicsx.problem.law_claims import check_fields
+from ewr_fenicsx.problem.law_claims import read_fields
 
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 ROUNDED = 1e-12  # share of what forces and loads would cause if none cancelled, below which a speed is their rounding
@@ -218,9 +218,7 @@ class PeriodicMotion:
         stride = self._find_stride(basis.samples)
         often = FourierBasis(basis.orders, stride * basis.samples)
         seen = HarmonicBalance(system).sample(self.forces, self.row_motion, often)
-        reported = [law.fields(motion) for motion, law in zip(seen, system.laws, strict=True)]
-        for law, fields in zip(system.laws, reported, strict=True):
-            check_fields(law, fields)
+        reported = [read_fields(law, motion) for motion, law in zip(seen, system.laws, strict=True)]
         thin = [{name: values[::stride] for name, values in fields.items()} for fields in reported]
         return list(zip(system.laws, thin, strict=True))
 

@@ -25,8 +25,11 @@ from petsc4py import PETSc
 from ewr_fenicsx.errors import EwrError
 
 # gmsh 4.8 takes Ctrl-C away as it is imported, until it is finalized
-_own = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_DFL
-if _own and getattr(gmsh, "oldsig", None):
+if (
+    getattr(gmsh, "oldsig", None)
+    and threading.current_thread() is threading.main_thread()
+    and signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+):
     signal.signal(signal.SIGINT, gmsh.oldsig)
 
 
