@@ -36,9 +36,9 @@ GRIPS, SHARES = ((1.0,), (1.5, 1.2, 1.0)), (0.1, 0.01, 0.001)
 SLIPPING = 0.2  # residual of rest and what oscillates at full stick, from where on a splitting leads somewhere
 
 
-def hangs_in_plane(balance: HarmonicBalance) -> bool:
-    """Whether bodies hang on friction of pairs with two tangents, or may float and are held by it."""
-    return balance.hangs_on_friction and balance.system.model.tangents > 1
+def begins_at_rest(balance: HarmonicBalance) -> bool:
+    """Whether bodies hang on friction, or float and may be held by it, in the plane of contact or at 0 Hz."""
+    return balance.hangs_on_friction and (balance.system.model.tangents > 1 or not np.any(balance.compliance.omega))
 
 
 def start_at_rest(

@@ -21,7 +21,7 @@ from ewr_fenicsx.solution.loading_history import hold_in_place
 from ewr_fenicsx.solution.remedies import list_remedies
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
-from ewr_fenicsx.solver.at_rest import hangs_in_plane, start_at_rest
+from ewr_fenicsx.solver.at_rest import begins_at_rest, start_at_rest
 from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
 from ewr_fenicsx.solver.growing_load import grow_load, trace_load
 from ewr_fenicsx.solver.growing_sets import add_harmonics
@@ -193,7 +193,7 @@ def list_rungs(
     levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
     limit = OWN_STEPS if own and not problem.system.closures else None
     cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
-    if hangs_in_plane(balance):
+    if begins_at_rest(balance):
         cold = "start at rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver, limit)
     if own:  # the default ones take all rungs that there are
         given = (problem, balance, start, tolerance, linear_solver)

@@ -50,7 +50,7 @@ def test_a_resonance_at_which_most_pairs_slip(fir_tree, static_friction):
 def test_from_rest_and_from_full_stick_come_to_one_solution(fir_tree, monkeypatch):
     problem = ContactProblem(fir_tree, ContactLaws(friction=0.3), 600.0, 1)
     rested = solve(problem)
-    monkeypatch.setattr(newton, "hangs_in_plane", lambda balance: False)
+    monkeypatch.setattr(newton, "begins_at_rest", lambda balance: False)
     stuck = solve(problem)
     assert stuck.iterations > 2 * rested.iterations
     np.testing.assert_allclose(

@@ -151,6 +151,31 @@ def test_a_ladder_stands_at_rest():
         assert found.pair_forces["tangential"][0].real == pytest.approx([-24.996, -12.498], rel=1e-3)
 
 
+def test_bodies_in_a_plane_come_to_rest_without_a_fallback():
+    found = []
+    for seed in range(60):
+        try:
+            found.append(solve(ContactProblem(body_on_leaning_feet(seed), ContactLaws(friction=0.5), 0.0)))
+        except (UnheldBody, NotConverged):  # leaves its feet, or slides
+            continue
+    assert len(found) > 25 and not any(solution.fallbacks for solution in found)
+
+
+def body_on_leaning_feet(seed: int) -> ReducedModel:
+    """A rigid body in a plane (x, y, turn) on three massless feet on springs, each on ground of its own slope."""
+    rng, each = np.random.default_rng(seed), np.eye(9)
+    stiffness, normal, tangential = np.zeros((9, 9)), [], []
+    for foot in (each[3:5], each[5:7], each[7:]):
+        (x, y), lean = rng.uniform(-1.0, 1.0, 2), rng.normal(scale=0.6)
+        stretch = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]) @ each[:3] - foot
+        stiffness += stretch.T @ np.diag(rng.uniform(1e3, 2e3, 2)) @ stretch
+        normal.append(np.array([np.sin(lean), np.cos(lean)]) @ foot)
+        tangential.append(np.array([np.cos(lean), -np.sin(lean)]) @ foot)
+    mass = np.diag([1.0, 1.0, 1.0, *np.zeros(6)])
+    load = np.array([0.3 * rng.normal(), -1.0, 0.1 * rng.normal(), *np.zeros(6)])
+    return ReducedModel(mass, 0.02 * mass, stiffness, normal, tangential, {0: load})
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.5, np.pi / 4])
 def test_a_walk_in_a_plane_is_that_along_a_line_whichever_way_tangents_point(angle):
     """The sled with two tangents, neither of which need point along its way: what is told of it, and of its share."""
