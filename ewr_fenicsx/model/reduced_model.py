@@ -94,7 +94,7 @@ class ReducedModel:
         freeze("mass", _matrix("mass", self.mass, (n, n)))
         freeze("damping", _matrix("damping", self.damping, (n, n)))
         for name in ("mass", "stiffness"):
-            _check_symmetry(name, getattr(self, name))
+            check_symmetry(name, getattr(self, name))
         _check_mass(self.mass)
         if self.normal is None and self.tangential is None:
             raise ModelError("a reduced model needs contact rows: give normal, tangential or both")
@@ -155,7 +155,7 @@ class ReducedModel:
             )
         if unknown := self.cyclic.outputs.keys() - self.outputs.keys():
             raise ModelError(f"cyclic has outputs {sorted(unknown)} that the model does not have; give them rows there")
-        _check_symmetry("damping of a sector in a ring", self.damping)
+        check_symmetry("damping of a sector in a ring", self.damping)
         for name in ROWS:
             own, following = getattr(self, name), getattr(self.cyclic, name)
             if following is not None and (own is None or own.shape != following.shape):
@@ -377,7 +377,7 @@ def _load(h, amplitude, size: int) -> ComplexArray:
     return vector
 
 
-def _check_symmetry(name: str, matrix: RealArray) -> None:
+def check_symmetry(name: str, matrix: RealArray) -> None:
     asymmetry = np.abs(matrix - matrix.T).max()
     if asymmetry > _SYMMETRY * np.abs(matrix).max():
         raise ModelError(

@@ -15,7 +15,7 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS, CyclicSymmetry
-from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.reduced_model import ReducedModel, check_symmetry
 
 LARGEST_RING = 8000  # coordinates of an unrolled model, three dense matrices of half a gigabyte each
 _APART = 1e-8  # motion of one cut beside the other's, over the largest of a rigid mode, below which it is rounding
@@ -57,6 +57,7 @@ def close_ring(
     """
     if not isinstance(sector, ReducedModel) or sector.cyclic is not None:
         raise ModelError("sector: give the ReducedModel of one sector that is free at its cuts, not closed already")
+    check_symmetry("damping of a sector in a ring", sector.damping)  # skew parts at the cuts may cancel in phase
     low, high, turn = _read_cuts(low, high, turn, sector.size)
     further = {name: rows for name, rows in (("normal", normal), ("tangential", tangential)) if rows is not None}
     further = {name: _read_next_rows(sector, name, rows) for name, rows in further.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,15 @@ def test_a_load_at_the_high_cut_is_one_at_the_next_sectors_low_cut():
     low = close_ring(chain_of_masses(load={1: [1.0, 0.0, 0.0]}), [0], [2], sectors=6, engine_order=1)
     high = close_ring(chain_of_masses(load={1: [0.0, 0.0, 1.0]}), [0], [2], sectors=6, engine_order=1)
     np.testing.assert_allclose(high.load[1], np.exp(2j * np.pi / 6) * low.load[1], rtol=1e-14)
+
+
+def test_damping_that_pushes_the_next_sector_otherwise_than_the_one_before_is_refused():
+    """As by a flow. In phase its skew part between the cuts cancels; a ring of sectors would have had another one."""
+    flow = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [-3.0, 0.0, 0.0]])
+    chain = chain_of_masses()
+    sector = replace(chain, damping=chain.damping + flow)
+    with pytest.raises(ModelError, match="damping of a sector in a ring is not symmetric: largest difference 6"):
+        close_ring(sector, [0], [2], sectors=6, engine_order=1)
 
 
 def test_outputs_between_sectors_fit_the_model():
