@@ -30,7 +30,7 @@ from ewr_fenicsx.in_time.deviations import (
     step_deviations,
     watch_course,
 )
-from ewr_fenicsx.in_time.followed_modes import follow_modes
+from ewr_fenicsx.in_time.followed_modes import follow_modes, follow_waves
 from ewr_fenicsx.in_time.hill import FOLLOWS, Hill, measure_edges
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
@@ -250,15 +250,22 @@ def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool
         system: What was solved.
         forces, rigid: As in ``find_growth``.
 
+    Of a sector of a ring the deviations are those in which all sectors move alike, each harmonic in its wave.
+
     Returns:
-        None where a law remembers, where rounding decides, and of a sector of a ring.
+        None where a law remembers, where rounding decides, and of a ring whose stiffness is not positive.
     """
-    if system.model.cyclic:
-        return None
     slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
     if slopes is None:
         return None
-    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * system.compliance.omega, system.basis.orders[-1])
+    top, omega, modes = system.basis.orders[-1], system.compliance.omega, None
+    if system.model.cyclic:
+        waves, at = np.unique([system.model.wave_of(h) for h in range(-top, top + 1)], return_inverse=True)
+        try:
+            modes = follow_waves(system, FOLLOWS * top * omega, waves.tolist()).pick(at)
+        except np.linalg.LinAlgError:
+            return None
+    hill = Hill(system, slopes.treat_all_as_changing(), SLOW * omega, top, modes)
     sign = np.linalg.slogdet(hill.matrix)[0]  # real, for the exponent is
     return bool(sign.real < 0) if abs(sign.imag) < SURE * abs(sign.real) else None
 

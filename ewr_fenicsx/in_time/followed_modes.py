@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ class Followed(NamedTuple):
         return self.mass.shape[-1]
 
     def pick(self, waves: np.ndarray) -> Followed:
-        """Those of some waves, in turn."""
+        """Those of some waves, by their places here, in turn."""
         return Followed(*(each[waves] for each in self))
 
 
@@ -48,21 +49,21 @@ def follow_modes(system: ContactSystem, reach: float) -> Followed:
     return _keep(modes, damping, rows, _find_followed(modes, damping, reach))
 
 
-def follow_waves(system: ContactSystem, reach: float) -> Followed:
-    """The same of a ring of sectors, in each of its waves; as many modes in all of them.
+def follow_waves(system: ContactSystem, reach: float, waves: Iterable[int]) -> Followed:
+    """The same of a ring of sectors, in each of some waves; as many modes in all of them.
 
     Raises:
         LinAlgError: The stiffness is not positive.
     """
     found = []
-    for wave in range(system.model.cyclic.sectors):
+    for wave in waves:
         if (modes := find_undamped_modes(system.model, wave)) is None:
             raise np.linalg.LinAlgError("the stiffness is not positive")
         damping = modes.shapes.conj().T @ system.model.matrix("damping", wave) @ modes.shapes
-        found.append((modes, damping, _find_followed(modes, damping, reach)))
+        found.append((wave, modes, damping, _find_followed(modes, damping, reach)))
     count = max(np.count_nonzero(follows) for *_, follows in found)
     kept = []
-    for wave, (modes, damping, follows) in enumerate(found):
+    for wave, modes, damping, follows in found:
         slowest = np.argsort(-modes.mass, kind="stable")  # shapes have unit stiffness
         follows[slowest[~follows[slowest]][: count - np.count_nonzero(follows)]] = True
         kept.append(_keep(modes, damping, system.layout.rows_in(wave), follows))

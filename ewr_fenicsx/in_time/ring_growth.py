@@ -64,7 +64,7 @@ def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArr
     if work > MOST_WORK:
         return None
     try:
-        modes = follow_waves(system, FOLLOWS * top * system.compliance.omega)
+        modes = follow_waves(system, FOLLOWS * top * system.compliance.omega, range(sectors))
         if work + INVERSE * points * (2 * top + 1) * modes.count**3 > MOST_WORK:
             return None
         found = [growth for offset in offsets for growth in _look_along(system, slopes, modes, top, offset)]

@@ -30,7 +30,7 @@ def test_exponents_of_all_waves_are_those_of_the_whole_ring(make, engine_order):
     assert of_whole.changing.size == SECTORS * slopes.changing.size > 0
     expected, _ = Hill(whole.problem.system, of_whole, guess, TOP).find_nearest()
     system, found = one.problem.system, []
-    modes = follow_waves(system, FOLLOWS * TOP * omega)
+    modes = follow_waves(system, FOLLOWS * TOP * omega, range(SECTORS))
     for offset in range(SECTORS):
         waves = (np.arange(-TOP, TOP + 1) * engine_order + offset) % SECTORS
         found.append(Hill(system, slopes, guess, TOP, modes.pick(waves)).find_nearest()[0])

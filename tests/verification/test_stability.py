@@ -9,7 +9,7 @@ import pytest
 from checked_solutions import find_turns
 from small_models import PROBLEMS, dovetail, repeat_first_pair, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, frequency_response, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, close_ring, frequency_response, integrate, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.newton_step import NewtonStep
 from ewr_fenicsx.errors import ModelError
@@ -66,6 +66,20 @@ def test_friction_that_wedges_turns_the_sign_and_no_motion_leaves():
     for name in model.outputs:
         assert abs(steady.output(name)[1]) == pytest.approx(abs(found.output(name)[1]), rel=0.03)
     assert np.all(steady.changes[-5:] < 1e-3)
+
+
+@pytest.mark.parametrize("engine_order", [0, 1])
+def test_of_a_ring_friction_that_wedges_is_told_from_growth_as_well(engine_order, branches):
+    """Sectors that nothing joins are each what they are alone, whichever way their loads follow one another."""
+    ring = {"sectors": 6, "engine_order": engine_order}
+    wedged = close_ring(dovetail(angle=50.0, excitation=200.0, seed=0, damping=2e-5), [], [], **ring)
+    found = solve(ContactProblem(wedged, ContactLaws(friction=2.0), 481.0, 3))
+    assert found.side == -1 and not found.grows and not found.unstable and "unstable" not in found.summary()
+    for name, grows in (("upper", False), ("middle", True), ("lower", False)):
+        begun = branches[name][len(branches[name]) // 2]
+        sector = solve(replace(begun.problem, model=close_ring(begun.problem.model, [], [], **ring)), begun)
+        assert sector.grows == sector.unstable == grows
+        assert sector.output("tip") == pytest.approx(begun.output("tip"), rel=1e-6, abs=1e-6)
 
 
 def test_a_summary_says_so_however_it_was_found(branches):
