@@ -128,6 +128,7 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
         start += pairs.size
     kept, expansion = hold(model, held)
     usual = whole @ expansion
+    _refuse_alike(model, whole, next_rows, index)
     _refuse_immobile(np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1), index)
     flexibility, mobility = measure_flexibility(kept, usual, wave)
     if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
@@ -155,15 +156,33 @@ def _gather_demands(model: ReducedModel, demands: tuple[Demand, ...]) -> tuple[R
     return np.vstack(held), {direction: pairs for direction, pairs in directions.items() if pairs.size}
 
 
+def _refuse_alike(
+    model: ReducedModel, rows: RealArray | ComplexArray, next_rows: RealArray | None, index: Mapping[str, np.ndarray]
+) -> None:
+    """Refuses rows between sectors of a ring ``(m, n)`` that are zero in the wave of harmonic 1."""
+    alike = np.zeros(len(rows), dtype=bool) if next_rows is None else np.any(next_rows, axis=1) & ~np.any(rows, axis=1)
+    if np.any(alike):
+        name, pair = _find_pair(int(np.argmax(alike)), index)
+        raise ModelError(
+            f"the {name} row of pair {pair}, between sectors, does not move{model.tell_wave()}, where the next sector "
+            "moves as this one does; leave the pair out, or solve the whole ring: unroll_ring(model)"
+        )
+
+
+def _find_pair(row: int, index: Mapping[str, np.ndarray]) -> tuple[str, int]:
+    """Direction and pair of a row, for people."""
+    name, at = next((name, at) for name, at in index.items() if np.any(at == row))
+    return name.replace("_", " "), int(np.argmax(at == row))
+
+
 def _refuse_immobile(immobile: np.ndarray, index: Mapping[str, np.ndarray]) -> None:
     """Refuses rows that nothing can move, ``immobile`` ``(m,)``."""
     if not np.any(immobile):
         return
-    row = int(np.argmax(immobile))
-    name, pair = next((name, int(np.argmax(at == row))) for name, at in index.items() if np.any(at == row))
+    name, pair = _find_pair(int(np.argmax(immobile)), index)
     in_plane = [at[pair] for direction, at in index.items() if direction != "normal" and at[pair] >= 0]
     raise ModelError(
-        f"the {name.replace('_', ' ')} row of pair {pair} moves with no coordinate: the pair is held by supports, "
+        f"the {name} row of pair {pair} moves with no coordinate: the pair is held by supports, "
         f"or held by bonds of others already; {_advise(name, moves_in_plane=not np.all(immobile[in_plane]))}"
     )
 

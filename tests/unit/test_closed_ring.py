@@ -64,6 +64,19 @@ def test_damping_that_pushes_the_next_sector_otherwise_than_the_one_before_is_re
         close_ring(sector, [0], [2], sectors=6, engine_order=1)
 
 
+@pytest.mark.parametrize("engine_order", [0, 6, 1])
+def test_pairs_between_sectors_that_move_alike_are_refused_as_such(engine_order):
+    """Masses with gaps between them, which stay where all move in phase; no support or bond holds any."""
+    sector = ReducedModel([[1.0]], [[20.0]], [[1e6]], normal=[[-1.0]], load={1: [100.0]})
+    model = close_ring(sector, [], [], sectors=6, engine_order=engine_order, normal=[[1.0]])
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=1e-3), frequency=150.0)
+    if engine_order == 1:
+        assert not solve(problem).touches
+        return
+    with pytest.raises(ModelError, match=r"row of pair 0, between .* in a wave of 0 nodal diameters"):
+        solve(problem)
+
+
 def test_outputs_between_sectors_fit_the_model():
     nothing = np.zeros((3, 3))
     with pytest.raises(ModelError, match=r"outputs\['mass'\] between sectors: give 3 finite numbers"):
