@@ -189,18 +189,22 @@ def has_own_springs(problem: ContactProblem) -> bool:
 def find_ringing(problem: ContactProblem, top: int) -> list[int]:
     """Harmonics above ``top`` at which the open joint resonates: what contact leaves there falls at no steady rate.
 
-    Those with the largest flexibility of any row over the number of the harmonic; none where modes do not uncouple the
-    model.
+    Those with the largest flexibility of any row over the number of the harmonic; of a ring each is in its own wave.
+    None where modes do not uncouple the model.
     """
     system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
-    wave = system.layout.usual_wave
-    if orders.size < 3 or not len(system.rows) or find_normal_modes(system.model, wave) is None:
+    model, rows_in = system.model, system.layout.rows_in
+    waves = np.array([model.wave_of(h) for h in orders.tolist()])
+    if orders.size < 3 or not len(system.rows) or any(find_normal_modes(model, w) is None for w in set(waves.tolist())):
         return []
+    beyond = np.zeros((orders.size, len(system.rows)), dtype=complex)
     try:
-        beyond = measure_beyond(system.model, system.layout.rows_in(wave), problem.omega, orders, wave)
-        flexibility = np.abs(beyond) / system.flexibility
+        for wave in set(waves.tolist()):
+            at = waves == wave
+            beyond[at] = measure_beyond(model, rows_in(wave), problem.omega, orders[at], wave)
     except ModelError:  # one hits an undamped mode exactly: no step could have it
         return []
+    flexibility = np.abs(beyond) / system.flexibility
     largest = flexibility.max(axis=1)
     here, below, above = largest[1:-1], largest[:-2], largest[2:]
     peaks = np.flatnonzero((here >= np.maximum(below, above)) & (here > RINGING * np.minimum(below, above)))

@@ -10,7 +10,7 @@ import pytest
 from hard_cases import Case, pose_case
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, stop_oscillator
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import estimates
 from ewr_fenicsx.accuracy.accuracy import AccurateSolution
 from ewr_fenicsx.accuracy.estimates import (
@@ -83,6 +83,20 @@ def test_a_harmonic_at_a_resonance_counts_however_far_off_it_is(harmonics):
     solution = solve(ContactProblem(model, laws, top / (2 * np.pi * 17), harmonics))
     true = measure_distance(solution, solve(replace(solution.problem, harmonics=151, samples=2048)))
     assert 0.9 * true < estimate_together(solution, true).error < 2 * true
+
+
+def test_of_a_ring_a_harmonic_resonates_in_its_own_wave():
+    """Masses on sliders, joined by springs: of all in phase, as at the 21st harmonic, none is stretched."""
+    mass, stiffness, joined = np.diag([1.0, 0.02, 0.0]), np.zeros((3, 3)), np.array([[1.0, -1.0], [-1.0, 1.0]])
+    stiffness[:2, :2] += np.diag([1.0, 0.0]) + 3 * joined
+    top = np.sqrt(np.linalg.eigvals(np.linalg.solve(mass[:2, :2], stiffness[:2, :2])).max())
+    stiffness[1:, 1:] += 2 * joined
+    rows = {"tangential": [[1.0, 0.0, 0.0]], "load": {1: [1.0, 0.0, 0.0]}, "outputs": {"top": [0.0, 1.0, 0.0]}}
+    model = close_ring(ReducedModel(mass, 5e-4 * stiffness, stiffness, **rows), [1], [2], sectors=7, engine_order=3)
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.2)
+    solution = solve(ContactProblem(model, laws, top / (2 * np.pi * 21), 9))
+    true = measure_distance(solution, solve(replace(solution.problem, harmonics=151, samples=2048)))
+    assert true > 0.05 and 0.9 * true < estimate_together(solution, true).error < 2 * true
 
 
 @pytest.mark.parametrize("enough", [200, 10**9])
