@@ -102,9 +102,9 @@ def check_given_force(problem: Statement) -> None:
     Raises:
         ModelError: A harmonic is not kept, or too high for the samples.
     """
-    basis, normal = problem.basis, problem.model.normal
+    basis, model = problem.basis, problem.model
     for h, amplitude in ((h, amplitude) for h, amplitude in problem.given_force.items() if np.any(amplitude)):
-        moves = normal is not None and np.any(normal.T @ amplitude)
+        moves = model.normal is not None and np.any(model.rows("normal", model.wave_of(h)).conj().T @ amplitude)
         if h not in basis.orders and (moves or not problem.frequency):
             remedy = "add it to harmonics" if problem.frequency else "give a positive frequency"
             raise ModelError(f"the prescribed normal force has a harmonic {h}; {remedy}")

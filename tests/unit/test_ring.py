@@ -163,6 +163,16 @@ def test_given_normal_forces_travel_round_as_well():
     assert one.output("tip") == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
+def test_given_harmonics_that_move_sectors_apart_are_not_left_out_for_those_that_do_not():
+    """Masses that are pressed apart: by a force that is the same everywhere none moves."""
+    mass = ReducedModel([[1.0]], [[20.0]], [[1e6]], [[-1.0]], [[1.0]], load={1: [100.0]})
+    model = close_ring(mass, [], [], sectors=6, engine_order=2, normal=[[1.0]], tangential=[[-1.0]])
+    pressed = lambda h: ContactLaws(normal="prescribed", normal_force={0: 300.0, h: 80.0}, friction=0.3)  # noqa: E731
+    solve(ContactProblem(model, pressed(6), frequency=150.0, harmonics=5))
+    with pytest.raises(ModelError, match="the prescribed normal force has a harmonic 7; add it to harmonics"):
+        solve(ContactProblem(model, pressed(7), frequency=150.0, harmonics=5))
+
+
 def test_wear_is_that_of_the_whole_ring():
     model = replace(ring(1, shaken=0.4), pair_area=[1e-6])
     problems = [ContactProblem(m, RUB, frequency=60.0, **ALIKE) for m in (model, unroll_ring(model))]
