@@ -17,8 +17,10 @@ import scipy.linalg
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.rigid_modes import bound_rounding
 
 GeneralisedInverse = Literal["inertia relief", "pinned"]
+_SHIFT = 1e-6  # of eigenvalues, over the stiffness by the mass
 _REMEMBERED, _MEMORY = 8, 2**30  # models; bytes for the waves of one, beyond which they are solved for every time
 
 
@@ -102,7 +104,7 @@ def find_undamped_modes(model: ReducedModel, wave: int = 0) -> NormalModes | Non
         return modes and replace(modes, shapes=modes.shapes.conj())
     inertia, stiffness, damping = (model.matrix(name, wave) for name in ("mass", "stiffness", "damping"))
     weight = np.trace(inertia).real
-    shift = (1e-6 * np.trace(stiffness).real / weight or 1.0) if weight else 0.0  # without a mass nothing is rigid
+    shift = (_SHIFT * np.trace(stiffness).real / weight or 1.0) if weight else 0.0  # without a mass nothing is rigid
     shifted = stiffness + shift * inertia
     scale = 1 / np.sqrt(np.diag(shifted).real)
     try:
@@ -110,8 +112,10 @@ def find_undamped_modes(model: ReducedModel, wave: int = 0) -> NormalModes | Non
     except np.linalg.LinAlgError:
         return None
     shapes *= scale[:, None]
-    modal = 1 - shift * mass
-    modal[model.size - model.count_rigid(wave) :] = 0.0  # ascending in mass: the rigid modes come last
+    modal, rigid = 1 - shift * mass, model.count_rigid(wave)
+    if wave and model.rigid_modes.size:  # a ring that may turn may shift as well, in a wave once round it
+        rigid = max(rigid, np.count_nonzero(modal <= bound_rounding(model.size) / _SHIFT))
+    modal[model.size - rigid :] = 0.0  # ascending in mass: the rigid modes come last
     return NormalModes(shapes, modal, mass, np.einsum("ij,ij->j", shapes.conj(), damping @ shapes).real)
 
 

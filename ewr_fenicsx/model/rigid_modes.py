@@ -37,8 +37,8 @@ def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray
     n, scale = stiffness.shape[0], 1 / find_own_units(stiffness)
     values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
     values = values / max(np.abs(values).max(), 1e-300)
-    rounding = _count_rounding(n) * _EPS
-    doubtful = max(_DOUBTFUL * rounding, _count_rounding(n) * precision)
+    rounding = bound_rounding(n)
+    doubtful = max(_DOUBTFUL * rounding, bound_rounding(n, precision))
     unsure = (np.abs(values) > rounding) & (np.abs(values) < doubtful)
     if np.any(unsure):
         lost = " is in single precision, and" if precision > _EPS else ""
@@ -61,9 +61,9 @@ def find_precision(matrix: object) -> float:
     return float(max(_EPS, np.finfo(kind).eps)) if kind.kind in "fc" else _EPS
 
 
-def _count_rounding(size: int) -> int:
-    """Roundings of the largest eigenvalue that the smallest ones may have: of a matrix ``(size, size)``."""
-    return max(_ROUNDED, size)
+def bound_rounding(size: int, precision: float = _EPS) -> float:
+    """What rounding may make of an eigenvalue that is zero, over the largest: of a matrix ``(size, size)``."""
+    return max(_ROUNDED, size) * precision
 
 
 def check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
@@ -124,7 +124,7 @@ def _check_completeness(stiffness: RealArray, modes: RealArray) -> None:
     apart = scipy.linalg.orth(root[:, None] * modes) if modes.size else modes
     scaled = stiffness / root[:, None] / root
     resisted = scaled + apart @ apart.T
-    rounding = _count_rounding(n) * _EPS
+    rounding = bound_rounding(n)
     try:
         np.linalg.cholesky(resisted - _DOUBTFUL * rounding * np.eye(n))
         complete = True

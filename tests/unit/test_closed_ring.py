@@ -11,6 +11,7 @@ import pytest
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, solve, unroll_ring
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.model.cyclic_symmetry import CyclicSymmetry
+from ewr_fenicsx.model.receptance import find_undamped_modes
 
 LAWS = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
 
@@ -121,3 +122,17 @@ def test_a_ring_that_floats_turns_and_does_nothing_else_as_a_whole(given):
     radii = np.hypot(*ring.rigid_modes.reshape(-1, 2).T)
     np.testing.assert_allclose(radii / radii[0], np.array([0.4, 0.5, 0.4, 0.5]) / 0.4, rtol=1e-9)
     assert np.abs(ring.stiffness @ ring.rigid_modes).max() < 1e-9 * 1e6 * np.abs(ring.rigid_modes).max()
+
+
+@pytest.mark.parametrize("engine_order", [1, -1, 7, 2])
+def test_a_ring_that_floats_shifts_as_a_whole_in_a_wave_once_round_it(engine_order):
+    """What is rubbed is no softer for that: it was found 1e15 times as soft, and friction weighed by thirty times."""
+    sector, turn = lattice_sector(8, None)
+    ring = close_ring(sector, range(4), range(4, 8), sectors=8, engine_order=engine_order, turn=turn)
+    wave = ring.wave_of(1)
+    modes = find_undamped_modes(ring, wave)
+    assert np.count_nonzero(modes.stiffness == 0.0) == (engine_order != 2)
+    expected = 1 / (modes.stiffness + (modes.stiffness == 0.0)) * (modes.stiffness > 0.5)  # all that bends
+    by_bending = np.abs(ring.tangential @ modes.shapes) ** 2 @ expected
+    found = ContactProblem(ring, LAWS, frequency=20.0).system.flexibility
+    assert found == pytest.approx(by_bending, rel=1e-6) and found[0] < 1e-5
