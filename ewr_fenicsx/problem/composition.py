@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.contact_laws import ContactLaws
 from ewr_fenicsx.laws.law_kinds import (
@@ -62,13 +62,15 @@ def compose(problem: Statement) -> ContactSystem:
     """Build the system of a problem.
 
     Raises:
-        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, or a given normal force
-            at harmonics that the problem does without; or contact holds a floating body, and harmonic 0 is not kept.
+        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, a given normal force
+            at harmonics that the problem does without, or an interference that nothing relieves; or contact holds a
+            floating body, and harmonic 0 is not kept.
         UnheldBody: Contact cannot hold a floating body under its mean load.
     """
     model, basis = problem.model, problem.basis
     layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
     check_given_force(problem)
+    check_interference(problem, layout)
     check_mean(basis, layout)
     load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
@@ -113,6 +115,25 @@ def check_given_force(problem: Statement) -> None:
                 f"the prescribed normal force has a harmonic {h}, which samples = {basis.samples} a period cannot tell "
                 f"from a lower one; give at least {2 * h + 1}"
             )
+
+
+def check_interference(problem: Statement, layout: Layout) -> None:
+    """Refuses interferences between sectors of a ring that no mean motion relieves: they would stay, at any force.
+
+    Raises:
+        ModelError: There is one.
+    """
+    if layout.next_rows is None:
+        return
+    for pairs, laws in problem.groups:
+        if laws.normal == "unilateral":
+            stays = ~np.any(layout.rows[layout.row_of("normal", pairs)], axis=1) & (problem.clearance[pairs] < 0)
+            if np.any(stays):
+                raise ModelError(
+                    f"{name_pairs(pairs[stays])}: an interference between sectors that move alike where all are in "
+                    "phase, as under what does not oscillate: nothing relieves it, and any force may press them. "
+                    "Prescribe the normal force, or give each pair a coordinate of its own behind a spring"
+                )
 
 
 def check_mean(basis: FourierBasis, layout: Layout) -> None:

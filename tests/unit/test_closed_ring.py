@@ -78,6 +78,23 @@ def test_pairs_between_sectors_that_move_alike_are_refused_as_such(engine_order)
         solve(problem)
 
 
+@pytest.mark.parametrize("frequency", [0.0, 150.0])
+def test_an_interference_that_no_mean_motion_relieves_is_refused(frequency):
+    """At rest it was left as it is, without a force, in what was called a solution."""
+    load = {1: [100.0]} if frequency else {0: [100.0]}
+    sector = ReducedModel([[1.0]], [[20.0]], [[1e6]], normal=[[-1.0]], load=load)
+    model = close_ring(sector, [], [], sectors=12, engine_order=3, normal=[[1.0]])
+    pressed = ContactLaws(tangential="frictionless", initial_gap=-1e-4)
+    with pytest.raises(ModelError, match=r"pair 0: an interference between sectors .* nothing relieves it"):
+        solve(ContactProblem(model, pressed, frequency))
+    behind = ReducedModel(  # the same, behind a spring
+        np.diag([1.0, 0.0]), np.diag([20.0, 0.0]), [[2e6, -1e6], [-1e6, 1e6]], normal=[[0.0, -1.0]]
+    )
+    model = close_ring(behind, [], [], sectors=12, engine_order=3, normal=[[1.0, 0.0]])
+    rest = solve(ContactProblem(model, pressed, 0.0))
+    assert rest.forces[0, 0].real == pytest.approx(1e6 * 1e-4, rel=1e-6)
+
+
 def test_outputs_between_sectors_fit_the_model():
     nothing = np.zeros((3, 3))
     with pytest.raises(ModelError, match=r"outputs\['mass'\] between sectors: give 3 finite numbers"):
