@@ -227,7 +227,8 @@ def print_costs(report: CostReport) -> None:
         errors = [f"{error:.1e}" for error in row["errors"].values()] if row["converged"] else ["not found"]
         table.add_row(escape(row["knob"]), *cells, *errors)
     console.print(
-        "relative errors; output: amplitude and phase of the outputs; steps: of Newton; s: processor time\n"
+        "relative errors; output: amplitude and phase of the outputs, or of the contact if there are none\n"
+        "steps: of Newton; s: processor time\n"
         'N: highest harmonic; springs: closure = "spring"; by mobility: rho_T as an accuracy chooses it'
     )
     console.print(table)

@@ -33,7 +33,8 @@ class Figures:
     """What of a periodic motion is compared.
 
     Attributes:
-        output: ``(HIGHEST, p)`` complex amplitudes of the outputs from harmonic 1 on [m].
+        output: ``(HIGHEST, p)`` complex amplitudes of the outputs from harmonic 1 on [m]; without outputs, as
+            ``read_response`` has them, those of all contact rows as one, ``(HIGHEST 2 m, 1)``.
         sliding: ``(K_c,)`` distance slid a cycle [m].
         normal_force: ``(SAMPLES, K_c)`` [N].
         wear: ``(K_c,)`` integral of ``p |v|`` over a cycle: what wears, but for its coefficient [Pa m]; of the force in
@@ -54,12 +55,16 @@ class Figures:
 
 def measure_figures(motion: PeriodicSolution) -> Figures:
     """Figures of a periodic solution, or of a steady state of ``integrate``: both tell the same histories."""
-    problem, orders = motion.problem, motion.orders
-    output = np.zeros((HIGHEST, len(problem.model.outputs)), dtype=complex)
-    for i, name in enumerate(problem.model.outputs):
-        for h, amplitude in zip(orders, motion.output(name), strict=True):
-            if 0 < h <= HIGHEST:
-                output[h - 1, i] = amplitude
+    problem, followed = motion.problem, motion.problem.model.outputs
+    if followed:
+        amplitudes = np.column_stack([motion.output(name) for name in followed])
+    else:
+        forces, moved = motion.contact_amplitudes
+        amplitudes = np.hstack([moved, problem.system.flexibility * forces])
+    output = np.zeros((HIGHEST, amplitudes.shape[1]), dtype=complex)
+    for h, amplitude in zip(motion.orders, amplitudes, strict=True):
+        if 0 < h <= HIGHEST:
+            output[h - 1] = amplitude
     area = problem.model.areas
     force, gap = (motion.history(name, SAMPLES) for name in ("normal_force", "gap"))
     friction, slip = (sample_along_tangents(motion, name, SAMPLES) for name in ("friction_force", "slip"))
@@ -68,7 +73,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
     largest_slip = np.linalg.norm(np.ptp(slip, axis=1), axis=0).max(initial=0.0)
     opening = max(gap[:, problem.opens].max(initial=0.0), largest_slip) or 1.0
     return Figures(
-        output=output,
+        output=output if followed else output.reshape(-1, 1),
         sliding=measure_sliding(speed, period),
         normal_force=force,
         wear=period * (pressing / area * speed).mean(axis=0),

@@ -89,7 +89,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     told = [
         f"at {problem.frequency:g} Hz" + (f", the first of the sweep's {several} frequencies" if several > 1 else "")
     ]
-    told += [f"reference: {name}; its own error is estimated at {own:.1g} of the outputs, other figures may be worse"]
+    told += [f"reference: {name}; its own error is estimated at {own:.1g} of the response, other figures may be worse"]
     for level in LEVELS:  # the reference may err by its own error to either side
         best = choose_cheapest([row for row in rows if row["knob"].startswith("N")], "output", level - own)
         if best is not None:

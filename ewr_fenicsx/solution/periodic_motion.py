@@ -57,6 +57,11 @@ class PeriodicMotion:
         """Amplitudes ``(n_h, m)`` of the rows of ``problem.system``, where forces are sought [m]."""
         return self.problem.system.compliance.motion(self.forces, self.rigid)
 
+    @property
+    def contact_amplitudes(self) -> tuple[ComplexArray, ComplexArray]:
+        """One-sided complex amplitudes of the forces [N] and motions [m] of the same rows, ``(n_h, m)``."""
+        return self.forces, self.row_motion
+
     @cached_property
     def coordinates(self) -> ComplexArray:
         """Amplitudes of the reduced coordinates, ``(n_h, n)``."""

@@ -19,6 +19,7 @@ from ewr_fenicsx.accuracy.cost import (
     measure_figures,
     survey,
 )
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.output import cost_plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
 from ewr_fenicsx.runs.cost_report import CostReport
@@ -71,6 +72,19 @@ def test_time_stepping_tells_the_same_figures(truth):
     errors = compare_figures(measure_figures(steady), truth)
     for name in ("output", "rms", "J_T", "normal forces", "wear"):
         assert errors[name] < 0.003, name
+
+
+def test_without_outputs_the_contact_tells_how_far_off_a_response_is():
+    """As for estimated errors: by what the contact rows move, and their forces, in both formulations."""
+    posed = replace(PROBLEM, model=replace(PROBLEM.model, outputs={}))
+    coarse, high = (solve(replace(posed, harmonics=n)) for n in (3, 40))
+    steady = integrate(replace(posed, harmonics=40), high, 1600, 60, 1e-7, theta=0.55)
+    finest, (few, stepped) = measure_figures(high), map(measure_figures, (coarse, steady))
+    for name in ("output", "rms"):
+        assert compare_figures(few, finest)[name] > 0.02, name
+        assert compare_figures(stepped, finest)[name] < 0.01, name
+    told = measure_distance(coarse, high)
+    assert compare_figures(few, finest)["output"] == pytest.approx(told, rel=1e-12)
 
 
 def test_a_joint_that_neither_slides_nor_wears_has_no_error_in_it():
