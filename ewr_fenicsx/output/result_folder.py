@@ -148,6 +148,8 @@ def _check_target(folder: Path, overwrite: bool, own: Sequence[str]) -> None:
             )
     if (place.exists() or place.is_symlink()) and not place.is_dir():
         raise OutputError(f"result folder {folder} is a file; give another --out")
+    if missing := [at for at in (folder, *folder.parents) if at.name == ".." and not at.exists()]:
+        raise OutputError(f"result folder {folder}: there is no {missing[-1].parent} to go up from; give another --out")
     ancestor = next(parent for parent in place.parents if parent.exists())
     try:
         with tempfile.TemporaryDirectory(prefix=f".{place.name}{DRAFT}", dir=ancestor):  # a name as long as it will be

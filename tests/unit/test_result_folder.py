@@ -115,6 +115,15 @@ def test_a_link_that_leads_nowhere_is_refused_before_any_work(tmp_path):
         check_target(tmp_path / "loop")
 
 
+@pytest.mark.parametrize("folder", ["none/../results", "none/other/../../results", "none/.."])
+def test_up_from_a_folder_that_is_not_there_is_refused_before_any_work(folder, tmp_path):
+    """Results went to where the name would lead, and were then said not to be there."""
+    with pytest.raises(OutputError, match=r"there is no \S*none\S* to go up from; give another --out"):
+        check_target(tmp_path / folder)
+    (tmp_path / "none" / "other").mkdir(parents=True)
+    check_target(tmp_path / folder, overwrite=True, own=("none",))
+
+
 @pytest.mark.parametrize("folder", [".", "", "..", "/"])
 def test_the_folder_that_a_run_is_in_is_not_replaced(folder, tmp_path, monkeypatch):
     """It left the shell in a folder that was gone, and results of which it said that they could not be written."""
