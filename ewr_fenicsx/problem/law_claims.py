@@ -78,7 +78,7 @@ def read_fields(law: Law, motion: Motion) -> Mapping[str, np.ndarray]:
     """What a law reports besides its force, name -> ``(n_t, K)``.
 
     Raises:
-        ModelError: It reports no dictionary.
+        ModelError: It reports no dictionary, or values of another shape.
     """
     reported = law.fields(motion)
     if not isinstance(reported, Mapping):
@@ -86,6 +86,13 @@ def read_fields(law: Law, motion: Motion) -> Mapping[str, np.ndarray]:
             f"{type(law).__name__}.fields returns {shorten(reported)}; give a dictionary, name -> values of shape "
             "(instants, pairs)"
         )
+    shape = motion.force[law.direction].shape
+    for name, values in reported.items():
+        if np.shape(values) != shape or np.iscomplexobj(values):
+            raise ModelError(
+                f'{type(law).__name__}.fields returns a "{name}" of shape {np.shape(values)}, '
+                f"{np.asarray(values).dtype}; give real numbers of shape {shape}, instants by pairs"
+            )
     return reported
 
 

@@ -104,6 +104,22 @@ def test_what_a_law_reports_is_a_dictionary(monkeypatch):
         solve(pose(dataclass(make_kind(law)), monkeypatch)).merit  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    "report, told",
+    [
+        (lambda force: np.abs(force).max(axis=0), r"\(1,\), float64"),
+        (lambda force: force.T, r"\(1, 128\), float64"),
+        (lambda force: 1j * force, r"\(128, 1\), complex128"),
+        (lambda force: 1.0, r"\(\), float64"),
+    ],
+)
+def test_what_a_law_reports_is_of_each_pair_at_each_instant(report, told, monkeypatch):
+    """Of one number a pair the fewer samples of field files took the first pair's for all."""
+    law = damper(fields=lambda self, motion: {"warmth": report(motion.force["tangential"])})
+    with pytest.raises(ModelError, match=rf'Damper\.fields returns a "warmth" of shape {told}; give real numbers of'):
+        solve(pose(dataclass(make_kind(law)), monkeypatch)).merit  # noqa: B018
+
+
 def test_a_bound_of_the_mean_is_told_as_one(monkeypatch):
     """It is asked for where a body floats."""
     problem = pose(dataclass(make_kind(damper(), bound_mean=lambda self, spread: (-1.0, 1.0))), monkeypatch)
