@@ -23,12 +23,14 @@ import dolfinx
 import h5py
 import numpy as np
 
+from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output import mesh_plots, plots, solid_plots
 from ewr_fenicsx.output.gathering import node_interpolation
 from ewr_fenicsx.output.pair_fields import spread_over_interface
 from ewr_fenicsx.output.result_folder import SUMMARY, do_with_files, read_summary, result_folder
 from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves, gather_ring, tell_ring, write_diameters
+from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.solution.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
@@ -42,6 +44,8 @@ STEPS = 32  # instants of the period in the field files
 SAMPLES = 1024  # samples of the period behind the table of pairs
 NUMBER, A_CORNER, A_FILE = 8, 4, 2**16  # bytes; numbers that cells may take a corner, and bytes of a file besides
 AWAY_FROM_CONTACT = -1.0  # contact_state of nodes that belong to no pair
+FIELDS = ("displacement", "contact_pressure", "friction_traction", "contact_state", "mesh_tags")  # but histories
+FIELDS_OF_WEAR = ("worn_depth", "worn_gap", "mean_pressure", "sliding_distance", "J_T", "worn_surface")
 PACKAGES = (
     "numpy",
     "scipy",
@@ -83,8 +87,9 @@ def write_results(
         The files written, in ``folder``. The same on every rank.
 
     Raises:
-        OutputError: The folder is taken, or cannot be written.
+        OutputError: The folder is taken, or cannot be written; or as ``check_own_fields``.
     """
+    check_own_fields(solution.problem)
     comm, start = chain.mesh.domain.comm, time.perf_counter()
     compiled = _compat.measure_compilation()
     with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
@@ -113,6 +118,21 @@ def write_results(
             summary["seconds"] = add_times(chain.seconds, seconds or {"solve": solution.seconds}, own)
             (draft / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return tuple(folder / name for name in do_with_files(lambda: read_summary(folder)["files"], comm))
+
+
+def check_own_fields(problem: ContactProblem) -> None:
+    """Checks that what laws report can go to files of its own.
+
+    Raises:
+        OutputError: Other files have that name, or none can have it.
+    """
+    for _, laws in problem.groups:
+        for kind in laws.kinds:
+            for name in kind.histories:
+                impossible = "/" in name or not name.strip(".")
+                if impossible or name.removeprefix(SECOND) in FIELDS + FIELDS_OF_WEAR:
+                    why = "no file can have" if impossible else "result folders have a file of"
+                    raise OutputError(f'{type(kind).__name__}.histories: "{name}": {why} that name; give another')
 
 
 def list_files(files: Sequence[Path]) -> str:

@@ -20,8 +20,10 @@ from small_scenes import BLOCKS, read_demo, write_blocks
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.laws import law_kinds
 from ewr_fenicsx.response import frequency_sweep, response_curve
 from ewr_fenicsx.response.following import Jump
+from ewr_fenicsx.runs import study
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
@@ -293,6 +295,30 @@ def test_a_law_of_the_user_s_own_through_files(run, tmp_path, capsys):
     assert len(shares) == 3, "separation, the law and the floating body share the solve"
     solve_share = summary["seconds"]["solve"] / sum(summary["seconds"].values())
     assert sum(shares) == pytest.approx(100 * solve_share, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "name, why",
+    [
+        ("displacement", "result folders have a file of that name; give another"),
+        ("contact_pressure", "result folders have a file of that name; give another"),
+        ("worn_gap", "result folders have a file of that name; give another"),
+        ("slider/velocity", "no file can have that name; give another"),
+        ("", "no file can have that name; give another"),
+    ],
+)
+def test_what_a_law_reports_takes_no_other_file_s_place(name, why, tmp_path, capsys, monkeypatch):
+    """The displacement of all nodes was replaced by what some pairs report, without a word."""
+    monkeypatch.setattr(study, "solve", None)  # it is told before any work
+    monkeypatch.setattr(law_kinds, "_KINDS", dict(law_kinds._KINDS))  # to be forgotten again
+    recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1).replace("slider_velocity", name)
+    (tmp_path / "slider.py").write_text(code.replace('"jenkins"', '"named_slider"'))
+    laws = "law_files = ['slider.py']\ntangential = 'named_slider'\nparameters = { spring = 1e7, limit = 3.0 }\n"
+    (tmp_path / "scene.toml").write_text(write_blocks(f"[contact]\n{laws}"))
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 2
+    assert f'Jenkins.histories: "{name}": {why}' in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
 
 
 def test_a_phase_is_in_degrees(tmp_path):

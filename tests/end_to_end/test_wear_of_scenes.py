@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from scene_runs import read_table, run_scene
@@ -10,6 +11,7 @@ from small_scenes import write_blocks
 
 from ewr_fenicsx import solve
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.output.output import FIELDS, FIELDS_OF_WEAR
 from ewr_fenicsx.wear import wear
 
 
@@ -55,6 +57,8 @@ def test_wear_writes_its_history_and_the_worn_joint(tmp_path, capsys):
     assert max(worn) == pytest.approx(history[-1]["deepest [m]"], rel=1e-12)
     assert max(worn) > 0
     assert {"wear.csv", "wear.png", "worn_depth.xdmf", "worn_gap.xdmf", "worn_surface.xdmf"} <= set(summary["files"])
+    fields = {Path(name).stem for name in summary["files"] if name.endswith(".xdmf")}
+    assert fields == {*FIELDS, *FIELDS_OF_WEAR, "gap", "slip"}, "names that laws of one's own may not have"
     capsys.readouterr()
     assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
     told = capsys.readouterr()
