@@ -93,7 +93,12 @@ def measure_spacing(interface: Interface) -> RealArray:
 def list_causes(estimate: ErrorEstimate) -> dict[str, float | None]:
     """Estimated errors by cause, and in all; those that were not looked at, or are not known, are null."""
     causes = {"total": estimate.total} | asdict(estimate)
-    return {name: float(error) if np.isfinite(error) else None for name, error in causes.items()}
+    return {name: _tell_known(error) for name, error in causes.items()}
+
+
+def _tell_known(error: float) -> float | None:
+    """An estimated error, or null, for JSON has no infinities."""
+    return float(error) if np.isfinite(error) else None
 
 
 def tell_estimate(estimate: ErrorEstimate, what: str) -> str:
@@ -167,7 +172,8 @@ def list_facts_of_sweep(curve: FrequencyResponse, problem: ContactProblem) -> di
     if curve.accurate:
         short = [{"frequency_Hz": f.solution.problem.frequency} | list_accuracy(f) for f in curve.accurate]
         short = [found for found in short if not found["reached"]]
-        worst, asked = max(found.estimate.total for found in curve.accurate), curve.accurate[0].accuracy
+        worst = _tell_known(max(found.estimate.total for found in curve.accurate))
+        asked = curve.accurate[0].accuracy
         facts["accuracy"] = {"asked": asked, "reached": not short, "estimate": {"total": worst}, "short": short}
     return facts
 
@@ -210,7 +216,7 @@ def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
         facts["accuracy"] = {
             "asked": history.accuracy,
             "reached": not history.short.size,
-            "estimate": {"total": float(np.nanmax(history.estimates))},
+            "estimate": {"total": _tell_known(np.nanmax(history.estimates))},
             "short_after_cycles": history.short.tolist(),
         }
     return facts

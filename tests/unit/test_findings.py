@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_models import lift_off_oscillator
 
-from ewr_fenicsx import ContactLaws, frequency_response
+from ewr_fenicsx import ContactLaws, evolve_wear, frequency_response
 from ewr_fenicsx.accuracy.estimates import ErrorEstimate
 from ewr_fenicsx.runs import findings
 
@@ -56,6 +57,22 @@ def test_an_error_that_nobody_asked_for_comes_with_its_remedy_where_it_is_large(
     line = findings.tell_estimate(estimate, "the response")
     assert line.startswith(told) and ("solver" in line) == ("solver" in told)
     assert findings.list_causes(estimate)["total"] == (errors[0] + np.nan_to_num(errors[1]) if errors[0] < 1 else None)
+
+
+def test_errors_that_cannot_be_told_are_null_in_the_facts_of_sweeps_and_wear():
+    """As of single solutions: Infinity is no JSON, which MATLAB and others would not read."""
+    model = replace(lift_off_oscillator(excitation=0.6, damping=0.1), pair_area=[1.0])
+    curve = frequency_response(model, ContactLaws(friction=0.3), [0.1, 0.2], 3, progress=False, accuracy=0.5)
+    unknown = replace(curve.accurate[0], estimate=ErrorEstimate(np.inf, np.nan), reached=False)
+    facts = findings.list_facts_of_sweep(
+        replace(curve, accurate=(unknown, curve.accurate[1])), curve.solutions[0].problem
+    )
+    assert facts["accuracy"]["estimate"] == {"total": None}
+    json.dumps(facts, allow_nan=False)
+    worn = evolve_wear(replace(curve.solutions[0].problem, harmonics=3), 2, 1e-6, accuracy=0.5, progress=False)
+    facts = findings.list_facts_of_wear(replace(worn, steps=(replace(worn.steps[0], estimate=np.inf),)))
+    assert facts["accuracy"]["estimate"] == {"total": None} and facts["accuracy"]["short_after_cycles"] == [0]
+    json.dumps(facts, allow_nan=False)
 
 
 def test_frequencies_without_a_solution_share_a_line():
