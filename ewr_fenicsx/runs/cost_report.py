@@ -17,9 +17,10 @@ from ewr_fenicsx.output.result_folder import do_with_files, read_summary
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import use_mobility
 from ewr_fenicsx.progress import count_progress
+from ewr_fenicsx.runs.study import STABILITY
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.solver.weights import use_default_weights
-from ewr_fenicsx.structure.chain import Chain, pose_problem
+from ewr_fenicsx.structure.chain import Chain, Stopwatch, pose_problem
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -112,11 +113,13 @@ def time_run(chain: Chain) -> dict[str, float]:
     """Seconds of a run by stage: the chain as it was built, one solve, and writing results, which are thrown away."""
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
     solution = solve(problem, tolerance=chain.scene.solver.tolerance)
-    newton = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}
+    newton, watch = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}, Stopwatch()
+    with watch.stage(STABILITY):
+        solution.summary()
     comm = chain.mesh.domain.comm
     with TemporaryDirectory() as own:
         folder = Path(comm.bcast(own)) / "run"
-        write_results(folder, chain, solution, seconds=newton)
+        write_results(folder, chain, solution, seconds=newton | watch.seconds)
         return do_with_files(lambda: read_summary(folder)["seconds"], comm)
 
 

@@ -29,6 +29,7 @@ from ewr_fenicsx.structure.reduction import keep_more_modes
 if TYPE_CHECKING:
     from ewr_fenicsx.response.response_curve import FrequencyResponse
 
+STABILITY = "stability"  # the stage that looks at it, and at all else that speaks against solutions
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
 
 
@@ -128,7 +129,9 @@ def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) ->
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    return Study(chain, solution, watch.seconds, None, solution.summary(), lambda folder: None)
+    with watch.stage(STABILITY):
+        told = solution.summary()
+    return Study(chain, solution, watch.seconds, None, told, lambda folder: None)
 
 
 def _take_up(chain: Chain, work: Path | None, own: str) -> Chain:
@@ -201,8 +204,10 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
         found = findings.word_remedy(
             solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
         )
+    with watch.stage(STABILITY):
+        told = found.summary()
     chain, facts = modes.chain_of(found.solution), {"accuracy": findings.list_accuracy(found)}
-    return Study(chain, found.solution, watch.seconds, None, found.summary(), lambda folder: None, facts)
+    return Study(chain, found.solution, watch.seconds, None, told, lambda folder: None, facts)
 
 
 def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
@@ -231,7 +236,7 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
             curve = replace(curve, accurate=tuple(map(findings.word_remedy, curve.accurate)))
     if not curve.solutions:
         raise NotConverged(f"{scene.where}: no periodic solution at any of {len(scene.frequencies)} frequencies")
-    with watch.stage("stability"):
+    with watch.stage(STABILITY):
         curve.look_at_stability(comm, watch.progress is not None, work)
     table = curve.table()
     outputs = [name for name in table if name.startswith("rms_")]
@@ -338,7 +343,8 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> 
         draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
 
     last, count = history.solutions[-1], len(chain.reduction.modal_coordinates)
-    told = "\n".join([*findings.tell_wear(history, through, count), f"worn: {last.summary()}"])
+    with watch.stage(STABILITY):  # of the joint as it was and as it is
+        told = "\n".join([*findings.tell_wear(history, through, count), f"worn: {last.summary()}"])
+        facts = findings.list_facts_of_wear(history)
     course = history.cycles, history.total_volume / interface.area.sum()
-    facts = findings.list_facts_of_wear(history)
     return Study(chain, last, watch.seconds, course, told, write, facts)

@@ -18,7 +18,7 @@ from ewr_fenicsx.solution.symmetry import find_idle_harmonics, leave_out_idle
 
 Joint = Mapping[str, Contact]  # key of the scene -> laws that hold there
 SOLVE = "solve"  # the stage of a run that the laws share, in proportion to their unknowns
-OF_STAGE = {"frequency sweep": "sweep", "wear": "wear"}  # effects with a stage of their own
+OF_STAGES = {"frequency sweep": ("sweep", "stability"), "wear": ("wear",)}  # effects with stages of their own
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,8 @@ def count_costs(problem: ContactProblem) -> dict[str, tuple[int, int]]:
 def _time(effect: Effect, seconds: Mapping[str, float] | None, total: int) -> Effect:
     if not seconds or not effect.on:
         return effect
-    if (stage := OF_STAGE.get(effect.name)) in seconds:
-        return replace(effect, share=seconds[stage] / sum(seconds.values()))
+    if own := [seconds[stage] for stage in OF_STAGES.get(effect.name, ()) if stage in seconds]:
+        return replace(effect, share=sum(own) / sum(seconds.values()))
     if effect.unknowns and SOLVE in seconds:
         return replace(effect, share=effect.unknowns / total * seconds[SOLVE] / sum(seconds.values()))
     return effect

@@ -236,8 +236,8 @@ def test_costs_are_told_and_written(tmp_path, capsys, monkeypatch, option, name)
     assert set(errors) == {1, 3, 5}
     assert errors[1] > errors[5] > found["own_error"]
     assert (folder / "cost.png").stat().st_size > 10_000
-    stages = {"mesh", "JIT", "matrices", "interface", "reduction", "solve: compose", "solve: newton", "write"}
-    assert set(found["stages"]) == stages
+    stages = {"mesh", "JIT", "matrices", "interface", "reduction", "solve: compose", "solve: newton"}
+    assert set(found["stages"]) == stages | {"stability", "write"}
     assert "stages of a run: mesh " in printed.out
 
 

@@ -91,7 +91,7 @@ def test_run_names_the_files_and_pictures_that_it_wrote(run):
 def test_progress_names_every_stage(run):
     stages = [line.split()[0] for line in run[0].stderr.splitlines() if line.endswith(" s")]
     stages = [stage for stage in stages if stage != "JIT"]  # where it takes a while: not with everything in the cache
-    assert stages == ["mesh", "matrices", "interface", "reduction", "solve", "estimate", "write"]
+    assert stages == ["mesh", "matrices", "interface", "reduction", "solve", "stability", "estimate", "write"]
 
 
 def test_summary_tells_where_the_figures_come_from(summary, run):
@@ -105,6 +105,7 @@ def test_summary_tells_where_the_figures_come_from(summary, run):
         "interface",
         "reduction",
         "solve",
+        "stability",
         "estimate",
         "write",
     }

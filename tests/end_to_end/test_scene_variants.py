@@ -176,7 +176,7 @@ def test_a_static_scene_is_solved_at_rest(tmp_path):
     assert sum(forces) == pytest.approx(1000.0, rel=1e-9)
 
 
-def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
+def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path, capsys):
     summary = run_scene(tmp_path, write_blocks(frequency="{ from = 2000, to = 6000, points = 5 }"))
     rows = read_table(tmp_path / "results" / "frequency_response.csv")
     assert [row["frequency [Hz]"] for row in rows] == [2000, 3000, 4000, 5000, 6000]
@@ -185,6 +185,11 @@ def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path):
     peak = max(rows, key=lambda row: row["rms_tip"])
     assert summary["solution"]["frequency_Hz"] == peak["frequency [Hz]"]
     assert abs(tip_amplitude(summary)) == pytest.approx(peak["|tip| harmonic 1"], rel=1e-12)
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 0
+    told = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("frequency sweep "))
+    spent = summary["seconds"]["sweep"] + summary["seconds"]["stability"]  # which a curve is looked at for
+    assert float(told.split()[-1].rstrip("%")) == pytest.approx(100 * spent / sum(summary["seconds"].values()), abs=0.1)
 
 
 @pytest.fixture
