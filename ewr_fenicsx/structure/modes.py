@@ -73,33 +73,10 @@ def solve_modes(
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     solver.setTarget(shift)
     solver.setTolerances(1e-2 * LARGEST_RESIDUAL, 300)
-    solver.setDimensions(count, min(size - len(known), max(2 * count, count + 20)))
-    if known:
-        solver.setDeflationSpace(list(known))
     transform = solver.getST()
     transform.setType(SLEPc.ST.Type.SINVERT)
     use_mumps(transform.getKSP())
-    try:
-        with finding_memory(size):
-            solver.solve()
-    except PETSc.Error as error:
-        raise ModesError(
-            f"cannot factorise K - sigma M at sigma = {shift:g} rad^2/s^2: is the stiffness singular (a body "
-            "that floats) with a shift of zero?"
-        ) from error
-    found = solver.getConverged()
-    if found < count:
-        raise ModesError(
-            f"{found} of {count} modes converged near sigma = {shift:g} rad^2/s^2 in {size} degrees of "
-            "freedom; ask for fewer"
-        )
-    values = np.array([solver.getEigenvalue(k).real for k in range(found)])
-    nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
-    nearest = nearest[np.argsort(values[nearest], kind="stable")]
-    vectors = []
-    for k in nearest:
-        vectors.append(stiffness.createVecRight())
-        solver.getEigenvector(k, vectors[-1])
+    vectors = _find_nearest(solver, count, shift, known)
     modes, rounding = _measure_modes(stiffness, mass, vectors, shift)
     # in fine meshes the forces that cancel in K phi are so large that their rounding alone passes any fixed tolerance
     if np.any(modes.residual > np.maximum(LARGEST_RESIDUAL, rounding)):
@@ -122,6 +99,64 @@ def solve_modes(
             "ask for fewer modes"
         )
     return modes
+
+
+def _find_nearest(solver: SLEPc.EPS, count: int, shift: float, known: Sequence[PETSc.Vec]) -> list[PETSc.Vec]:
+    """Vectors of the modes nearest to a shift, by rising eigenvalue.
+
+    Of modes that share a frequency, as of parts that are alike, Krylov's method sees one, and the others by rounding
+    alone, at times after modes further off. So it looks again beside those found, until nothing nearer turns up.
+    """
+    size = solver.getOperators()[0].getSize()[0] - len(known)
+    values, vectors, asked, farthest = np.zeros(0), [], count, np.inf
+    while True:
+        left = size - len(vectors)
+        columns = min(left, max(2 * asked, asked + 20))
+        further, others = _search(solver, asked, columns, shift, [*known, *vectors])
+        if not np.any(np.abs(further - shift) < (1 - _EQUAL) * farthest):
+            break
+        looked_again = bool(vectors)
+        values, vectors = np.append(values, further), vectors + others
+        nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
+        values, vectors = values[nearest], [vectors[k] for k in nearest]
+        farthest = np.abs(values - shift).max()
+        if columns == left:  # every mode
+            break
+        asked = min(2 * asked, (size - count) // 2) if looked_again else 1
+    return [vectors[k] for k in np.argsort(values, kind="stable")]
+
+
+def _search(
+    solver: SLEPc.EPS, count: int, columns: int, shift: float, beside: Sequence[PETSc.Vec]
+) -> tuple[np.ndarray, list[PETSc.Vec]]:
+    """Eigenvalues and vectors that converge in a Krylov space of so many columns, beside some modes: ``count`` or more.
+
+    Raises:
+        ModesError: Fewer, or a singular stiffness with no shift.
+        MemoryError: As ``solve_modes``.
+    """
+    stiffness, size = solver.getOperators()[0], solver.getOperators()[0].getSize()[0]
+    solver.setDimensions(count, columns)
+    if beside:
+        solver.setDeflationSpace(list(beside))
+    try:
+        with finding_memory(size):
+            solver.solve()
+    except PETSc.Error as error:
+        raise ModesError(
+            f"cannot factorise K - sigma M at sigma = {shift:g} rad^2/s^2: is the stiffness singular (a body "
+            "that floats) with a shift of zero?"
+        ) from error
+    found = solver.getConverged()
+    if found < count:
+        raise ModesError(
+            f"{found} of {count} modes converged near sigma = {shift:g} rad^2/s^2 in {size} degrees of "
+            "freedom; ask for fewer"
+        )
+    vectors = [stiffness.createVecRight() for _ in range(found)]
+    for k, vector in enumerate(vectors):
+        solver.getEigenvector(k, vector)
+    return np.array([solver.getEigenvalue(k).real for k in range(found)]), vectors
 
 
 def full_stick_modes(structure: Structure, interface: Interface, count: int) -> Modes:

@@ -120,6 +120,21 @@ def test_modes_of_a_slender_body_are_as_exact_as_others():
     np.testing.assert_allclose(others.frequency, modes.frequency[10:], rtol=1e-9)
 
 
+@pytest.mark.parametrize(("strings", "count"), [(10, 20), (12, 30), (30, 30)])
+def test_modes_of_parts_that_are_alike_are_all_found(strings, count):
+    """Each frequency of a string of 50 masses as often as there are strings; also besides modes that are known."""
+    masses = 50
+    string = scipy.sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(masses, masses))
+    side_by_side = scipy.sparse.kron(scipy.sparse.identity(strings), string), scipy.sparse.identity(strings * masses)
+    csr = [scipy.sparse.csr_matrix(matrix) for matrix in side_by_side]
+    matrices = [PETSc.Mat().createAIJ(m.shape, csr=(m.indptr, m.indices, m.data)) for m in csr]
+    exact = np.sin(pi * np.arange(1, masses + 1) / (2 * masses + 2)).repeat(strings) / pi
+    modes = solve_modes(*matrices, count)
+    np.testing.assert_allclose(modes.frequency, exact[:count], rtol=1e-9)
+    others = solve_modes(*matrices, count, known=modes.vectors)
+    np.testing.assert_allclose(others.frequency, exact[count : 2 * count], rtol=1e-9)
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_free_body_has_three_rigid_modes(degree):
     """Their eigenvalues vanish to 1e-9 of the first elastic one."""
