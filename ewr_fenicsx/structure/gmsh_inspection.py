@@ -1,11 +1,13 @@
 """What must hold of a gmsh model before dolfinx sees it: cells of one type, none inverted, in named bodies.
 
-dolfinx 0.5 ends with a segmentation fault on a mesh of triangles and quadrilaterals, and on one in which nodes of no
-cell have lower numbers than others; it drops facets of no cell.
+dolfinx 0.5 ends with a segmentation fault on a mesh of triangles and quadrilaterals, on one in which nodes of no cell
+have lower numbers than others, and on cells that are there twice; it drops facets of no cell, and all but one name of a
+facet.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,8 +47,8 @@ def inspect_model(source: Path) -> Inspection:
         source: Where it came from, for messages.
 
     Raises:
-        MeshError: No mesh, no named body, a boundary off the bodies; cells of more than one type, outside all bodies,
-            in two bodies or inverted.
+        MeshError: No mesh, no named body, a boundary off the bodies or with facets of another one; cells of more than
+            one type, outside all bodies, in two bodies, there twice or inverted.
     """
     dimension = gmsh.model.getDimension()
     if dimension < 2 or not any(len(tags) for tags in gmsh.model.mesh.getElements(dimension)[1]):
@@ -59,6 +61,7 @@ def inspect_model(source: Path) -> Inspection:
     if not bodies:
         raise MeshError(f"{source}: no named body; give each body a physical group of dimension {dimension}")
     kind, order, corners = _check_cell_types(source, dimension, bodies)
+    _check_cells_differ(source, kind, order, corners)
     _check_facets(source, dimension, boundaries, kind)
 
     _drop_what_is_on_no_body(dimension)
@@ -175,8 +178,21 @@ def _check_cell_types(source: Path, dimension: int, bodies: Mapping[str, int]) -
     return kind, nodes, corners
 
 
+def _check_cells_differ(source: Path, kind: int, order: int, corners: int) -> None:
+    """No cell may be there twice, as of a body drawn twice whose nodes were merged: dolfinx crashes."""
+    nodes = gmsh.model.mesh.getElementsByType(kind)[1].reshape(-1, order)[:, :corners]
+    cells, count = np.unique(np.sort(nodes, axis=1), axis=0, return_counts=True)
+    if len(cells) < len(nodes):
+        places = [gmsh.model.mesh.getNode(int(node))[0] for node in cells[np.argmax(count > 1)]]
+        place = ", ".join(f"{value:.6g}" for value in np.mean(places, axis=0))
+        raise MeshError(
+            f"{source}: {len(nodes) - len(cells)} of {len(nodes)} cells have the corners of others, as at ({place}); "
+            "is a body drawn twice, or in two groups?"
+        )
+
+
 def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], cell_kind: int) -> None:
-    """Every named facet must be the facet of a cell: dolfinx drops the others, or crashes."""
+    """Every named facet must be the facet of a cell, and has one name: dolfinx drops others, or crashes."""
     facets: dict[int, np.ndarray] = {}
     owner = _find_owners(source, dimension - 1, boundaries)
     for entity, name in owner.items():
@@ -198,14 +214,19 @@ def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], c
     sides = np.asarray(sides).reshape(-1, corners)
     sides = np.sort(sides[np.isin(sides, named).all(axis=1)], axis=1)  # few: sorting whole rows is slow
     number = np.unique(np.concatenate([sides, named]), axis=0, return_inverse=True)[1].ravel()
-    loose = ~np.isin(number[len(sides) :], number[: len(sides)])
-    ends = np.cumsum([len(of_entity) for of_entity in facets.values()])
-    for entity, mine in zip(facets, np.split(loose, ends[:-1]), strict=True):
-        if mine.any():
+    of_sides, of_named = np.split(number, [len(sides)])
+    of_entity = np.split(of_named, np.cumsum([len(rows) for rows in facets.values()])[:-1])
+    names: dict[str, np.ndarray] = {}
+    for (entity, name), mine in zip(owner.items(), of_entity, strict=True):
+        if loose := np.count_nonzero(~np.isin(mine, of_sides)):
             raise MeshError(
-                f'{source}: boundary "{owner[entity]}": {np.count_nonzero(mine)} of {len(mine)} facets of entity '
+                f'{source}: boundary "{name}": {loose} of {len(mine)} facets of entity '
                 f"{entity} belong to no cell; is it the edge of a meshed body?"
             )
+        names[name] = np.append(names.get(name, np.empty(0, dtype=int)), mine)
+    for one, other in itertools.combinations(names, 2):
+        if both := len(np.intersect1d(names[one], names[other])):
+            raise MeshError(f'{source}: {both} facets are in "{one}" and in "{other}"; expected one name for each')
 
 
 def evaluate_scaled_jacobian(corners: np.ndarray, shape: str) -> np.ndarray:

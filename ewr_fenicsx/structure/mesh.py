@@ -139,8 +139,8 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
 
     Raises:
         MeshError: On every rank: no such file; an unknown, missing or wrong parameter; a builder that fails; no named
-            body; cells of more than one type, outside all bodies, in two bodies or inverted; a boundary off the bodies;
-            a rank without cells.
+            body; cells of more than one type, outside all bodies, in two bodies, there twice or inverted; a boundary
+            off the bodies, or with facets of another one; a rank without cells.
     """
     source, failure, found = Path(source), None, None
     with ExitStack() as opened:
