@@ -173,22 +173,49 @@ def gmsh_model(name: str) -> Iterator[None]:
         newer = "interruptible" in inspect.signature(gmsh.initialize).parameters
         gmsh.initialize([], readConfigFiles=False, **({"interruptible": False} if newer else {}))
     models, current = gmsh.model.list(), gmsh.model.getCurrent()
-    loudness = gmsh.option.getNumber("General.Terminal")
-    gmsh.option.setNumber("General.Terminal", 0)
+    with _keep_options():
+        gmsh.option.setNumber("General.Terminal", 0)
+        try:
+            gmsh.model.add(name)
+            yield
+        finally:
+            if not gmsh_is_running():
+                pass  # what ran inside has ended it
+            elif not running:
+                gmsh.finalize()
+            else:
+                for added in [model for model in gmsh.model.list() if model not in models]:
+                    gmsh.model.setCurrent(added)
+                    gmsh.model.remove()
+                gmsh.model.setCurrent(current)
+
+
+@contextmanager
+def _keep_options() -> Iterator[None]:
+    """Gives gmsh, if it runs on, the options back that are set inside: they would change the meshes made after it.
+
+    gmsh 4.8 can list neither its options nor those that differ from the defaults, so calls that set one are noted.
+    """
+    before: dict[tuple[str, str], tuple] = {}
+    setters = {kind: getattr(gmsh.option, f"set{kind}") for kind in ("Number", "String", "Color")}
+
+    def note(kind: str) -> staticmethod:
+        def note_and_set(name: str, *value: object, **named: object) -> None:
+            found = getattr(gmsh.option, f"get{kind}")(name)
+            before.setdefault((kind, name), tuple(found) if kind == "Color" else (found,))
+            setters[kind](name, *value, **named)
+
+        return staticmethod(note_and_set)
+
+    for kind in setters:
+        setattr(gmsh.option, f"set{kind}", note(kind))
     try:
-        gmsh.model.add(name)
         yield
     finally:
-        if not gmsh_is_running():
-            pass  # what ran inside has ended it
-        elif not running:
-            gmsh.finalize()
-        else:
-            for added in [model for model in gmsh.model.list() if model not in models]:
-                gmsh.model.setCurrent(added)
-                gmsh.model.remove()
-            gmsh.model.setCurrent(current)
-            gmsh.option.setNumber("General.Terminal", loudness)
+        for kind, setter in setters.items():
+            setattr(gmsh.option, f"set{kind}", staticmethod(setter))
+        for (kind, name), value in before.items() if gmsh_is_running() else ():
+            setters[kind](name, *value)
 
 
 def gmsh_is_running() -> bool:
