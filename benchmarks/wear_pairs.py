@@ -27,7 +27,8 @@ def measure_volumes(cycles: int, pairs=PAIRS) -> list[dict]:
         problem = ContactProblem(blade_root(count), ContactLaws(friction=FRICTION), FREQUENCY)
         history, seconds = clock(lambda: evolve_wear(problem, cycles, COEFFICIENT, Tolerance(share=0.005)))  # noqa: B023
         first = history.solutions[0]
-        force = np.maximum(0.0, first.history("normal_force", 4096))
+        signorini = next(law for law in first.problem.system.laws if law.direction == "normal")
+        force = np.maximum(0.0, first.history("normal_force", 4096) - signorini.rho * first.history("gap", 4096))
         speed = first.sliding_speed(4096)
         integral = COEFFICIENT / FREQUENCY * float(np.mean(force * speed, axis=0).sum())
         rows.append(

@@ -156,9 +156,10 @@ class Law(Protocol):
     def fields(self, motion: Motion) -> dict[str, RealArray]:
         """What the law has to report besides its force: name -> ``(n_t, K)``.
 
-        Three names have a meaning for all: ``"open"`` and ``"slipping"``, bool, say in which state each pair is;
-        ``"surface_slip"``, up to a constant, is what slides and wears where that is not the truncated slip [m]. What
-        the law of a second tangent reports is known with ``"second_"`` before its name.
+        Four names have a meaning for all: ``"open"`` and ``"slipping"``, bool, say in which state each pair is;
+        ``"surface_slip"``, up to a constant, is what slides and wears where that is not the truncated slip [m];
+        ``"admissible_normal_force"`` is what presses and wears where that is not the truncated force [N]. What the law
+        of a second tangent reports is known with ``"second_"`` before its name.
         """
         return {}
 

@@ -96,18 +96,18 @@ def pose_fading_resonance() -> ContactProblem:
 def test_a_joint_that_leaps_to_another_motion_while_it_wears_says_so(jump):
     """Its amplitude fell to a third from one cycle to the next, without a word."""
     history = evolve_wear(pose_fading_resonance(), 150, np.array([0.05, 1e-4]), jump)
-    before, after = (history.figure("rms_tip")[history.cycles == cycle] for cycle in (141, 142))
+    before, after = (history.figure("rms_tip")[history.cycles == cycle] for cycle in (142, 143))
     assert after < 0.3 * before
     (leap,) = history.leaps
-    assert (leap.cycle, leap.found_by) == (141, "cold start")
-    tip = [np.abs(history.output("tip")[history.cycles == cycle, 1:]).ravel() for cycle in (141, 142)]
+    assert (leap.cycle, leap.found_by) == (142, "cold start")
+    tip = [np.abs(history.output("tip")[history.cycles == cycle, 1:]).ravel() for cycle in (142, 143)]
     assert leap.change >= np.linalg.norm(tip[0] - tip[1]) / np.linalg.norm(tip[0]) > 0.5
     told = (
-        "  after 141 cycles the motion led nowhere: wear goes on from a solution found otherwise (cold start), whose "
+        "  after 142 cycles the motion led nowhere: wear goes on from a solution found otherwise (cold start), whose "
         f"outputs differ by {100 * leap.change:.3g}%"
     )
     assert told in history.summary().splitlines() and told in tell_wear(history, 1.0, 4)
-    facts = {"cycle": 141, "found_by": "cold start", "change": leap.change}
+    facts = {"cycle": 142, "found_by": "cold start", "change": leap.change}
     assert list_facts_of_wear(history)["wear"]["leaps"] == [facts]
 
 

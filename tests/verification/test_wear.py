@@ -262,6 +262,31 @@ def test_what_rings_while_it_sticks_neither_slides_nor_wears():
     assert off[9][2] < 0.05 and off[41][2] < 0.01
 
 
+@pytest.mark.parametrize("mean, within", [(-0.8, 0.05), (-0.5, 0.02), (0.0, 0.01)])
+def test_what_rings_while_it_is_open_does_not_wear(mean, within):
+    """A load that presses for a part of the cycle, on what slides fastest in the middle of the rest.
+
+    It is closed while ``mean + cos(tau) > 0``, and slides as fast as ``sin(tau)`` says.
+    """
+    load, swing, area, closed = 100.0, 1e-5, 2e-5, -mean
+    model = ReducedModel(
+        mass=np.zeros((2, 2)),
+        damping=np.zeros((2, 2)),
+        stiffness=np.diag([1e9, 1e7]),
+        normal=[[0.0, 1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, -load * mean], 1: [1e9 * swing, -load]},
+        pair_area=[area],
+    )
+    exact = 1e-11 * 2 * swing * load / area * (mean * (1 - closed) + 0.5 * (1 - closed**2))
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless"), 100.0)
+    for n, share in ((5, 1.0), (31, 0.1)):
+        history = evolve_wear(replace(problem, harmonics=n), 1, 1e-11)
+        assert history.rate[0, 0] == pytest.approx(exact, rel=share * within)
+        mean_force = tabulate_wear_fields(history)["mean_pressure"][0, 0] * area
+        assert mean_force == pytest.approx(history.solutions[0].pair_forces["normal"][0, 0].real, rel=1e-3)
+
+
 def test_sliding_along_both_tangents_wears():
     """A pair in 3-D without friction, driven along the second tangent: four amplitudes a cycle."""
     model = ReducedModel(
