@@ -68,7 +68,7 @@ def correct_inertia(model: ReducedModel, stuck: tuple[float, ...]) -> ReducedMod
     squares, shapes = solve_stuck(model, count=len(stuck))
     exact = (2 * np.pi * np.array(stuck[: squares.size])) ** 2
     held = np.minimum(exact, squares) > _NOTHING * squares[-1]
-    lack = np.divide(1 - exact / squares, exact * squares, out=np.zeros_like(exact), where=held)
+    lack = np.divide(squares - exact, exact * squares**2, out=np.zeros_like(exact), where=held)
     pushed = model.stiffness @ shapes * np.sqrt(np.maximum(lack, 0.0))
     return replace(model, mass=model.mass + pushed @ pushed.T)
 

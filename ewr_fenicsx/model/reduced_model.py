@@ -134,7 +134,7 @@ class ReducedModel:
         else:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))
-            check_rigid_modes(self.stiffness, self.rigid_modes)
+            freeze("stiffness", keep(check_rigid_modes(self.stiffness, self.mass, self.rigid_modes)))
         check_inertia(self.mass, self.stiffness, self.rigid_modes)
         if self.cyclic is not None:
             self._check_cyclic()

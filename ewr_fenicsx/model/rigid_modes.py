@@ -66,12 +66,17 @@ def bound_rounding(size: int, precision: float = _EPS) -> float:
     return max(_ROUNDED, size) * precision
 
 
-def check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
+def check_rigid_modes(stiffness: RealArray, mass: RealArray, modes: RealArray) -> RealArray:
     """That given modes ``(n, r)`` are all rigid motions that there are, and nothing else.
+
+    Returns:
+        The stiffness ``(n, n)``, without what rounding left at coordinates that are rigid motions by themselves, as
+        those across two pads on which a body stands. It would pass for their own units, and for springs of any sign.
 
     Raises:
         ModelError: One meets elastic forces, or the stiffness leaves other motions free, too.
     """
+    stiffness = _clear_rounding(stiffness, mass, modes)
     force = np.abs(stiffness @ modes).max(axis=0)
     scale = np.maximum((np.abs(stiffness) @ np.abs(modes)).max(axis=0), np.finfo(float).tiny)  # no stiffness at all
     rounding = _NOTHING * np.abs(stiffness).max(initial=0.0) * np.abs(modes).max(axis=0, initial=0.0)
@@ -83,6 +88,16 @@ def check_rigid_modes(stiffness: RealArray, modes: RealArray) -> None:
             "give null vectors of the stiffness, or None to have them found"
         )
     _check_completeness(stiffness, modes)
+    return stiffness
+
+
+def _clear_rounding(stiffness: RealArray, mass: RealArray, modes: RealArray) -> RealArray:
+    """The stiffness with zeros at coordinates whose own motion the modes contain, where it is rounding."""
+    heavy = find_own_units(mass, stiffness)
+    share = np.sum(scipy.linalg.orth(heavy[:, None] * modes) ** 2, axis=1) if modes.size else np.zeros(len(heavy))
+    own = np.abs(np.diag(stiffness)) / heavy**2
+    free = (share > 1 - _NOTHING) & (own <= bound_rounding(len(own)) * own.max(initial=0.0))
+    return np.where(free[:, None] | free, 0.0, stiffness) if np.any(free) else stiffness
 
 
 def check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> None:

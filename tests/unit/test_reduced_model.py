@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_models import dovetail, friction_oscillator, random_structure, transform_coordinates
 
-from ewr_fenicsx import ReducedModel
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
 from ewr_fenicsx.model.compliance import condense
 from ewr_fenicsx.model.rigid_modes import find_rigid_modes
@@ -334,6 +334,27 @@ def test_given_rigid_modes_are_kept():
     stuck = np.eye(26)[:, :1]
     with pytest.raises(ModelError, match="give null vectors of the stiffness, or None to have them found"):
         replace(model, rigid_modes=stuck)
+
+
+def test_a_block_on_two_pads_has_no_stiffness_across_them_but_rounding():
+    """Nothing resists either pad's own motion: what a reduction leaves there is no spring."""
+    stiffness, noise = np.zeros((5, 5)), np.random.default_rng(0).uniform(-2.0, 2.0, (5, 5))
+    stiffness[:4:2, :4:2], stiffness[4, 4] = [[1e9, -1e9], [-1e9, 1e9 + 1e5]], 1e9  # x, y of both, and a mode
+    known = {
+        "mass": np.diag([1.0, 1.0, 1.0, 1.0, 2.0]),
+        "damping": np.diag([9.0] * 5),
+        "normal": -np.eye(5)[[1, 3]],
+        "tangential": np.eye(5)[[0, 2]],
+        "load": {0: [0.0, 50.0, 0.0, 50.0, 0.0], 1: [30.0, 0.0, 0.0, 10.0, 9.0]},
+        "outputs": {"x": np.eye(5)[0]},
+        "rigid_modes": np.eye(5)[:, [1, 3]],
+    }
+    rounded = stiffness + 1e-7 * (noise + noise.T)
+    x, exact = (
+        solve(ContactProblem(ReducedModel(stiffness=k, **known), ContactLaws(), 60.0)).output("x")
+        for k in (rounded, stiffness)
+    )
+    np.testing.assert_allclose(x, exact, rtol=0, atol=1e-6 * np.abs(exact).max())
 
 
 def test_holding_rows_leaves_the_motions_that_obey_them():
