@@ -72,6 +72,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         ), "missing, and it has no default"
     for limit in {"gt", "ge", "lt", "le"} & set(detail.get("ctx", ())):  # pydantic writes 1e-13 with all its zeros
         message = f"{message.rsplit(' ', 1)[0]} {detail['ctx'][limit]:g}"
+    if kind == "path_type":
+        message = "should be a path, in quotes"
     if kind in ("dict_type", "model_type", "model_attributes_type"):
         message = "should be a table"
     path: list[str] = []

@@ -88,9 +88,18 @@ This page and the schema are generated from `ewr_fenicsx/scene/scene.py`:
 
 
 def write_schema() -> str:
-    """The JSON Schema of a scene file."""
-    schema = {"$schema": "http://json-schema.org/draft-07/schema#", **Scene.model_json_schema()}
+    """The JSON Schema of a scene file, in the draft that editors of TOML read."""
+    schema = {"$schema": "http://json-schema.org/draft-07/schema#", **_write_lists(Scene.model_json_schema())}
     return json.dumps(schema, indent=1) + "\n"
+
+
+def _write_lists(schema: typing.Any) -> typing.Any:
+    """A schema whose lists of unlike entries are written as in draft 07, which has another word."""
+    if isinstance(schema, list):
+        return [_write_lists(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    return {"items" if key == "prefixItems" else key: _write_lists(part) for key, part in schema.items()}
 
 
 def write_reference() -> str:

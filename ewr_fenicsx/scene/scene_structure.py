@@ -64,6 +64,13 @@ class Elasticity(Section):
     thickness: Number = entry(0.01, "m", "Thickness across the plane; solids have none.", gt=0)
     degree: Literal[1, 2] = entry(1, "-", "Polynomial degree of the elements.")
 
+    @field_validator("degree", mode="before")
+    @classmethod
+    def check_degree(cls, degree: Any) -> Any:
+        if type(degree) is not int or degree not in (1, 2):  # of Python's true and 1.0 either is 1 as well
+            raise PydanticCustomError("degree", "should be 1 or 2")
+        return degree
+
 
 class RayleighDamping(Section):
     """D = alpha M + beta K."""

@@ -51,6 +51,9 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[materials.disk]\npoisson = 0.5", r"materials\.disk\.poisson = 0\.5: should be less than 0\.5"),
         ("[elasticity]\nplane = 'stres'", r"elasticity\.plane = 'stres': should be 'stress' or 'strain'"),
         ("[elasticity]\ndegree = 3", r"elasticity\.degree = 3: should be 1 or 2"),
+        ("[elasticity]\ndegree = true", r"elasticity\.degree = True: should be 1 or 2"),
+        (f"[elasticity]\ndegree = {10**20}", r"elasticity\.degree = 10+: should be 1 or 2"),
+        ("[contact]\nlaw_files = [1]", r"contact\.law_files\.0 = 1: should be a path, in quotes"),
         ("[reduction]\nmodes = 2.5", r"reduction\.modes = 2\.5: should be a whole number"),
         (
             "[loads.s]\nboundary = 'tip'\nforce = [0, 1, 0, 1]",

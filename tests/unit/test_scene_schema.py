@@ -28,6 +28,15 @@ def test_schema_file_is_the_one_generated_from_the_definition():
     assert facts(written) == facts(json.loads(write_schema())), "run: python -m ewr_fenicsx.scene.scene_reference docs"
 
 
+def test_lists_are_written_in_the_draft_that_the_schema_names():
+    """Validators of draft 07 pass over ``prefixItems``, and lists of anything with it."""
+    written = json.loads((ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8"))
+    tables = written["$defs"]
+    assert [entry["type"] for entry in tables["Cyclic"]["properties"]["axis"]["items"]] == ["number"] * 3
+    assert [entry["exclusiveMaximum"] for entry in tables["RatioDamping"]["properties"]["ratios"]["items"]] == [1, 1]
+    assert "prefixItems" not in json.dumps(written)
+
+
 def find_table(schema: dict, entry: dict, value: dict) -> dict | None:
     """The table definition that an entry leads to for a value."""
     for part in [entry, *entry.get("anyOf", []), *entry.get("oneOf", [])]:
