@@ -50,7 +50,7 @@ def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray
     if values[0] < -doubtful:
         raise ModelError(
             f"stiffness is not positive semidefinite: scaled eigenvalue {values[0]:.3g}; check its assembly, "
-            "or whether its entries have lost digits, as in a file of few: then give rigid_modes"
+            "or whether its entries have lost digits, as in a file of few: then give more of them, or rigid_modes"
         )
     return scale[:, None] * vectors[:, values <= rounding]
 
@@ -85,7 +85,7 @@ def check_rigid_modes(stiffness: RealArray, mass: RealArray, modes: RealArray) -
         worst = int(np.argmax(meets))
         raise ModelError(
             f"rigid_modes[:, {worst}] meets elastic forces of {meets[worst]:.2g} of the stiffness; "
-            "give null vectors of the stiffness, or None to have them found"
+            "give null vectors of the stiffness, None to have them found, or a stiffness whose entries have more digits"
         )
     _check_completeness(stiffness, modes)
     return stiffness

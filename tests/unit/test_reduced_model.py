@@ -332,7 +332,7 @@ def test_given_rigid_modes_are_kept():
     turned = model.rigid_modes @ np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 3.0], [1.0, 0.0, 1.0]])
     np.testing.assert_array_equal(replace(model, rigid_modes=turned).rigid_modes, turned)
     stuck = np.eye(26)[:, :1]
-    with pytest.raises(ModelError, match="give null vectors of the stiffness, or None to have them found"):
+    with pytest.raises(ModelError, match="give null vectors of the stiffness, None to have them found, or a stiffness"):
         replace(model, rigid_modes=stuck)
 
 
