@@ -69,7 +69,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
     force, gap = (motion.history(name, SAMPLES) for name in ("normal_force", "gap"))
     friction, slip = (sample_along_tangents(motion, name, SAMPLES) for name in ("friction_force", "slip"))
     speed = motion.sliding_speed(SAMPLES)
-    period, pressing, rubs = 1 / problem.frequency, np.maximum(0.0, force), problem.friction > 0
+    period, pressing, rubs = 1 / problem.frequency, motion.pressing_force(SAMPLES), problem.friction > 0
     largest_slip = np.linalg.norm(np.ptp(slip, axis=1), axis=0).max(initial=0.0)
     opening = max(gap[:, problem.opens].max(initial=0.0), largest_slip) or 1.0
     return Figures(

@@ -18,7 +18,7 @@ from ewr_fenicsx.output.output import write_series
 from ewr_fenicsx.output.pair_fields import find_pairs, spread_over_interface
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.structure.chain import Chain
-from ewr_fenicsx.wear.archard import SAMPLES, sample_pressure
+from ewr_fenicsx.wear.archard import SAMPLES
 from ewr_fenicsx.wear.wear import WearHistory
 
 WEAR_FIELDS = ("worn_gap", "mean_pressure", "sliding_distance", "J_T")
@@ -32,7 +32,7 @@ def tabulate_wear_fields(history: WearHistory) -> dict[str, RealArray]:
     """
     pressure, sliding = np.empty(history.depth.shape), np.empty(history.depth.shape)
     for i, solution in enumerate(history.solutions):
-        pressure[i] = sample_pressure(solution).mean(axis=0)
+        pressure[i] = solution.pressing_force(SAMPLES).mean(axis=0) / solution.problem.model.areas
         sliding[i] = measure_sliding(solution.sliding_speed(SAMPLES), 1 / solution.problem.frequency)
     indicator = np.broadcast_to(sliding.mean(axis=1)[:, None], sliding.shape)
     values = (history.gap, pressure, sliding, indicator)

@@ -178,6 +178,21 @@ class PeriodicMotion:
         speed = slips * np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
         return np.where(speed.max(axis=0) > ROUNDED * self.slip_reach, speed, 0.0)[::stride]
 
+    def pressing_force(self, samples: int = 1024) -> RealArray:
+        """Force that presses, and wears what slides, at every pair over one period, ``(samples, K_c)`` [N].
+
+        It is the one that the law admits, where the law says it, and so none while a pair is open. There the truncated
+        force, of the same harmonics, rings about zero.
+
+        Raises:
+            ModelError: No whole number of samples.
+        """
+        force = np.maximum(0.0, self.history("normal_force", samples))
+        for law, fields in self.law_fields(FourierBasis(self.orders, len(force))):
+            if "admissible_normal_force" in fields:
+                force[:, law.pairs] = fields["admissible_normal_force"]
+        return force
+
     @cached_property
     def slip_reach(self) -> RealArray:
         """``(K_c,)`` speed along the rows of friction that forces and loads would cause if none cancelled [m/s]."""

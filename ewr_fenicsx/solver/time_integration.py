@@ -159,6 +159,10 @@ class SteadyState:
             speed = np.hypot(speed, self._rates @ (model.rows(direction) @ expansion).T)
         return resample(speed, 0.0, samples)
 
+    def pressing_force(self, samples: int | None = None) -> RealArray:
+        """Force that presses at every pair over the last period, ``(samples, K_c)`` [N]."""
+        return np.maximum(0.0, self.history("normal_force", samples))
+
     @property
     def _rates(self) -> RealArray:
         """Modal velocities ``(steps, n')`` as friction sees them: what was late in the step before counts."""

@@ -11,7 +11,6 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.solution.contact_state import OPEN, classify_contact
 from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.solution.solution import PeriodicSolution
@@ -20,28 +19,16 @@ SAMPLES = 1024  # of the period, for integrals over a cycle
 _RIGID = 1e-12  # flexibility of pairs to one another, over their own, below which it is rounding
 
 
-def sample_pressure(solution: PeriodicSolution) -> RealArray:
-    """Pressure of every pair over a period, ``(SAMPLES, K_c)`` [Pa].
-
-    It is that of the force which the law admits, where the law says it: none while a pair is open. There the truncated
-    force rings about zero, and would wear what slides apart.
-    """
-    force = np.maximum(0.0, solution.history("normal_force", SAMPLES))
-    for law, fields in solution.law_fields(FourierBasis(solution.orders, SAMPLES)):
-        if "admissible_normal_force" in fields:
-            force[:, law.pairs] = fields["admissible_normal_force"]
-    return force / solution.problem.model.areas
-
-
 def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
     """Depth worn a cycle at each pair, ``k_w`` times the integral of ``p |v|`` over the period, ``(K_c,)`` [m].
 
     Args:
-        solution: ``p`` is its pressure (``sample_pressure``), ``|v|`` its ``sliding_speed``.
+        solution: ``p`` is its ``pressing_force`` over the areas [Pa], ``|v|`` its ``sliding_speed``.
         coefficient: ``(K_c,)`` wear coefficients ``k_w`` [1/Pa].
     """
     period = 1 / solution.problem.frequency
-    return coefficient * period * np.mean(sample_pressure(solution) * solution.sliding_speed(SAMPLES), axis=0)
+    pressure = solution.pressing_force(SAMPLES) / solution.problem.model.areas
+    return coefficient * period * np.mean(pressure * solution.sliding_speed(SAMPLES), axis=0)
 
 
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
