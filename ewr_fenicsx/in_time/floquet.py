@@ -30,7 +30,7 @@ from ewr_fenicsx.in_time.deviations import (
     step_deviations,
     watch_course,
 )
-from ewr_fenicsx.in_time.followed_modes import follow_modes, follow_waves
+from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes, follow_waves
 from ewr_fenicsx.in_time.hill import FOLLOWS, Hill, measure_edges
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
@@ -122,14 +122,19 @@ def list_unfollowed(system: ContactSystem, forces: ComplexArray, rigid: RealArra
 def find_linear_growth(system: ContactSystem) -> complex:
     """``find_growth`` of a joint without unknown forces, by the exponents of its free vibrations."""
     omega = system.compliance.omega
-    modes = follow_modes(system, FOLLOWS * system.basis.orders[-1] * omega)
+    fastest = find_fastest(follow_modes(system, FOLLOWS * system.basis.orders[-1] * omega), omega)
+    found = np.exp(2 * np.pi * complex(fastest.real, abs(fastest.imag)))
+    return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+
+
+def find_fastest(modes: Followed, omega: float) -> complex:
+    """Exponent over the angular frequency of the free vibration that grows most, or falls least; none above a bound."""
     mass, damping, one, none = omega**2 * modes.mass, omega * modes.damping, np.eye(len(modes.mass)), 0 * modes.mass
     rates, states = np.block([[none, one], [-modes.stiffness, -damping]]), np.block([[one, none], [none, mass]])
     inverses = np.linalg.eigvals(np.linalg.solve(rates - states, states)).astype(complex)
     exponents = 1 + 1 / inverses[np.abs(inverses) > AT_ONCE]  # over omega; without mass some are infinite
-    fastest = max(exponents, key=lambda z: z.real, default=0.0)
-    found = np.exp(2 * np.pi * complex(min(fastest.real, FASTEST), abs(fastest.imag)))
-    return complex(found.real, abs(found.imag)) if abs(found) > GROWTH else 0.0
+    fastest = max(exponents, key=lambda z: z.real, default=0j)
+    return complex(min(fastest.real, FASTEST), fastest.imag)
 
 
 def is_borne_out(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:

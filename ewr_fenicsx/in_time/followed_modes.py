@@ -31,8 +31,8 @@ class Followed(NamedTuple):
         """p."""
         return self.mass.shape[-1]
 
-    def pick(self, waves: np.ndarray) -> Followed:
-        """Those of some waves, by their places here, in turn."""
+    def pick(self, waves: np.ndarray | int) -> Followed:
+        """Those of some waves, by their places here, in turn; or of one."""
         return Followed(*(each[waves] for each in self))
 
 

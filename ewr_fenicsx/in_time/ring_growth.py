@@ -18,7 +18,7 @@ import numpy as np
 
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import Slopes, differentiate_laws
-from ewr_fenicsx.in_time.floquet import FEWEST, GROWTH, SAMPLES
+from ewr_fenicsx.in_time.floquet import FEWEST, GROWTH, SAMPLES, find_fastest
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_waves
 from ewr_fenicsx.in_time.hill import FOLLOWS, Hill, measure_edges
 from ewr_fenicsx.problem.contact_system import ContactSystem
@@ -51,6 +51,8 @@ def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArr
         None where it is not looked at: it takes long, a law remembers, the stiffness is not positive, or redundant
         pairs share their forces in any way; and where all that is found is cut off at the highest harmonics.
     """
+    if not len(system.rows):
+        return _find_linear_growth(system)
     slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
     if slopes is None:
         return None
@@ -71,6 +73,20 @@ def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArr
     except np.linalg.LinAlgError:
         return None
     return max(found, default=None)
+
+
+def _find_linear_growth(system: ContactSystem) -> RingGrowth | None:
+    """The same of a joint without unknown forces, by the free vibrations of each wave."""
+    omega, sectors = system.compliance.omega, system.model.cyclic.sectors
+    if EIGENVECTORS * sectors * system.model.size**3 > MOST_WORK:
+        return None
+    diameters = range(sectors // 2 + 1)
+    try:
+        modes = follow_waves(system, FOLLOWS * system.basis.orders[-1] * omega, diameters)
+    except np.linalg.LinAlgError:
+        return None
+    exponents = [find_fastest(modes.pick(k), omega) for k in diameters]
+    return max(RingGrowth(float(np.exp(2 * np.pi * exponents[k].real)), k) for k in diameters)
 
 
 def leaves(growth: RingGrowth | None) -> bool:

@@ -163,10 +163,10 @@ class PeriodicSolution(PeriodicMotion):
 
     def _list_unfollowed(self) -> list[str]:
         """Where the largest multiplier is not looked for: in a ring, or because of what a law of one's own sees."""
-        looked_at = self.orders[-1] and self.problem.system.laws and not self.unstable
+        looked_at = self.orders[-1] and not self.unstable
         if looked_at and self.problem.model.cyclic:
             return self._list_growth_round_the_ring()
-        if not (self.problem.own_kinds and looked_at):
+        if not (self.problem.own_kinds and self.problem.system.laws and looked_at):
             return []
         here = self._forgetful
         unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
@@ -178,6 +178,8 @@ class PeriodicSolution(PeriodicMotion):
         growth = self.ring_growth
         if leaves(growth):
             grow = f"deviations of {growth.diameters} nodal diameters grow by {growth.factor - 1:.0%} a period"
+            if not self.problem.system.laws:  # nothing is truncated
+                return [f"unstable: {grow}; integrate(...) on unroll_ring(model) shows how"]
             told = f"perhaps unstable: as truncated forces have it, {grow}"
         elif self._rubs_or_taps:
             told = "stability is not looked at" if growth is None else "stability is not known: no deviation grows much"
@@ -303,7 +305,7 @@ class PeriodicSolution(PeriodicMotion):
 
         See ``ring_growth.py``.
         """
-        if not (self.converged and self.problem.model.cyclic and self.problem.system.laws and self.orders[-1]):
+        if not (self.converged and self.problem.model.cyclic and self.orders[-1]):
             return None
         here = self._forgetful
         return find_ring_growth(here.problem.system, here.forces, here.rigid)

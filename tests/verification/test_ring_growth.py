@@ -67,12 +67,10 @@ def test_what_grows_least_or_not_is_told_with_its_diameters():
 
 
 def test_what_is_not_looked_at(monkeypatch):
-    """Whole rings, bonded joints, and what would take long; the latter is told."""
+    """Whole rings, and what would take long; the latter is told."""
     model = ring(1)
     solution = solve(ContactProblem(model, RUB, 60.0, 5))
     assert solve(ContactProblem(unroll_ring(model), RUB, 60.0, 5)).ring_growth is None
-    stuck = solve(ContactProblem(model, ContactLaws("bonded", "bonded"), 60.0, 5))
-    assert stuck.ring_growth is None and stuck.cautions == ()
     monkeypatch.setattr(ring_growth, "MOST_WORK", 1.0)
     assert find_ring_growth(solution.problem.system, solution.forces, solution.rigid) is None
     told = "stability is not looked at; whether motions in time leave the wave"
@@ -90,6 +88,19 @@ def test_a_joint_that_sticks_throughout_is_looked_at():
     assert any("perhaps unstable" in line for line in one.cautions)
     stuck = solve(ContactProblem(model, laws, 60.0, 5))
     assert not leaves(stuck.ring_growth) and stuck.cautions == ()
+
+
+@pytest.mark.parametrize("fed", [0.0, 0.6])
+def test_a_bonded_joint_grows_as_its_free_vibrations_do(fed):
+    """As in flutter, in a wave that need not be the load's; of the whole ring they are the Floquet multiplier."""
+    model, glued = ring(1), ContactLaws("bonded", "bonded")
+    damping = fed * np.abs(model.damping).max() * np.eye(model.size)
+    model = replace(model, cyclic=replace(model.cyclic, damping=damping))
+    one, whole = (solve(ContactProblem(m, glued, 60.0, 5)) for m in (model, unroll_ring(model)))
+    assert leaves(one.ring_growth) == whole.unstable == (fed > 0)
+    assert any(line.startswith("unstable: deviations of ") for line in one.cautions) == (fed > 0)
+    if fed:
+        assert one.ring_growth.factor == pytest.approx(abs(whole.multiplier), rel=1e-6)
 
 
 def test_nothing_is_found_where_all_modes_are_far_above():
