@@ -147,7 +147,7 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         tell_unused_options()
         print(study.told, list_files(files), sep="\n\n", flush=True)
     if study.cut_short:
-        raise KeyboardInterrupt(f"the results are in {folder}, without an estimate of their error")
+        raise KeyboardInterrupt(f"the results are in {folder}, without {study.cut_short}")
     return 0
 
 

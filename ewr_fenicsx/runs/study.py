@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ewr_fenicsx.response.response_curve import FrequencyResponse
 
 STABILITY = "stability"  # the stage that looks at it, and at all else that speaks against solutions
+UNSEEN = "interrupted: nobody has looked at what speaks against it, such as its stability"
 WEAR_FILE = "wear_{}.h5"  # by rank, in the folder of the work in progress
 
 
@@ -47,7 +48,7 @@ class Study:
         write: Writes the study's own files into a folder; collective.
         facts: What decides whether to trust the run, for its summary: accuracy, breaks and gaps of a sweep, why wear
             stopped; ready for JSON.
-        cut_short: Whether an interruption took the estimate of the error from it, and nothing else.
+        cut_short: What an interruption took from it, when the solution was there: "" as a rule.
     """
 
     chain: Chain
@@ -57,7 +58,7 @@ class Study:
     told: str
     write: Callable[[Path], None]
     facts: Mapping[str, object] = field(default_factory=dict)
-    cut_short: bool = False
+    cut_short: str = ""
 
 
 def can_resume(scene: Scene) -> bool:
@@ -84,15 +85,17 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
     study = _solve(chain, watch, work, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)
     lines, facts = [f"  NOT a small motion: {doubt}" for doubt in doubts], {"doubts_of_small_motion": doubts}
-    cut_short = False
+    cut_short = study.cut_short
     if chain.scene.solver.accuracy is None:
+        own, facts["estimate"] = ["  its error is not known: interrupted"], None
         try:
-            with watch.stage("estimate"):
-                own, facts["estimate"] = _estimate(study)
+            if not cut_short:
+                with watch.stage("estimate"):
+                    own, facts["estimate"] = _estimate(study)
         except KeyboardInterrupt:
             if work is not None:  # from which the same command goes on
                 raise
-            own, facts["estimate"], cut_short = ["  its error is not known: interrupted"], None, True
+            cut_short = "an estimate of their error"
         lines = [*own, *lines]
     told = "\n".join([study.told, *lines])
     facts = {**study.facts, **facts}
@@ -118,6 +121,16 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
     return [findings.tell_estimate(estimate, what)], findings.list_causes(estimate)
 
 
+def _look_at(solution: PeriodicSolution, tell: Callable[[], str], watch: Stopwatch) -> tuple[str, str]:
+    """What is told of a solution, which is not lost where that takes too long; and what it then lacks."""
+    try:
+        with watch.stage(STABILITY):
+            return tell(), ""
+    except KeyboardInterrupt:
+        vars(solution)["cautions"] = (UNSEEN,)
+        return tell(), "a look at what speaks against them"
+
+
 def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> Study:
     scene = chain.scene
     if len(scene.frequencies) > 1:
@@ -129,9 +142,8 @@ def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) ->
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    with watch.stage(STABILITY):
-        told = solution.summary()
-    return Study(chain, solution, watch.seconds, None, told, lambda folder: None)
+    told, lacking = _look_at(solution, solution.summary, watch)
+    return Study(chain, solution, watch.seconds, None, told, lambda folder: None, cut_short=lacking)
 
 
 def _take_up(chain: Chain, work: Path | None, own: str) -> Chain:
@@ -204,10 +216,9 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
         found = findings.word_remedy(
             solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
         )
-    with watch.stage(STABILITY):
-        told = found.summary()
+    told, lacking = _look_at(found.solution, found.summary, watch)
     chain, facts = modes.chain_of(found.solution), {"accuracy": findings.list_accuracy(found)}
-    return Study(chain, found.solution, watch.seconds, None, told, lambda folder: None, facts)
+    return Study(chain, found.solution, watch.seconds, None, told, lambda folder: None, facts, lacking)
 
 
 def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:

@@ -22,6 +22,8 @@ from ewr_fenicsx.accuracy import estimates
 from ewr_fenicsx.cli import main, stop_together
 from ewr_fenicsx.output.result_folder import hold_target
 from ewr_fenicsx.response import frequency_sweep
+from ewr_fenicsx.runs.study import UNSEEN
+from ewr_fenicsx.solution import solution
 from ewr_fenicsx.wear import cycle_jumps
 
 write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
@@ -220,6 +222,25 @@ def test_a_solution_outlives_the_estimate_of_its_error(ewr, scene, tmp_path, mon
     one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
     assert (one["solution"], one["files"]) == (two["solution"], two["files"])
     assert one["estimate"] is None and two["estimate"]
+
+
+@pytest.mark.parametrize("asked", ["harmonics = 1", "accuracy = 0.1"])
+def test_a_solution_outlives_the_look_at_its_stability(ewr, scene, tmp_path, monkeypatch, asked):
+    """Which may take longer than the solve, and the estimate as well."""
+    scene.write_text(write_scene(solver=asked))
+    with monkeypatch.context() as patch:
+        count_calls(patch, solution, "find_growth", 0)
+        code, told = ewr()
+    results = tmp_path / "broken"
+    assert code == 130
+    assert told.endswith(
+        f"ewr: interrupted; the results are in {results}, without a look at what speaks against them\n"
+    )
+    assert ewr(out="unbroken")[0] == 0
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
+    assert one["solution"].pop("cautions") == [UNSEEN] and UNSEEN not in two["solution"].pop("cautions")
+    assert (one["solution"], one["files"]) == (two["solution"], two["files"])
+    assert one.get("estimate") is None
 
 
 @pytest.mark.parametrize("study", STUDIES)
