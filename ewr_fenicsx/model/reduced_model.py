@@ -130,7 +130,7 @@ class ReducedModel:
         rows = {_name(name): _vector(f"outputs[{name!r}]", c, n) for name, c in outputs.items()}
         freeze("outputs", ReadOnly(rows))
         if self.rigid_modes is None:
-            freeze("rigid_modes", keep(find_rigid_modes(self.stiffness, precision)))
+            freeze("rigid_modes", keep(find_rigid_modes(self.stiffness, precision, self.mass)))
         else:
             modes = read_numbers("rigid_modes", self.rigid_modes)
             freeze("rigid_modes", _matrix("rigid_modes", modes[:, None] if modes.ndim == 1 else modes, (n, None)))

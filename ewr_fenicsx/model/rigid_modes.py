@@ -20,7 +20,7 @@ _NOTHING = 1e-12  # forces over those of the stiffest motion, that rounding may 
 _MASSLESS = 1e-15  # energy of a rigid motion over the largest mass, below which it has no mass
 
 
-def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray:
+def find_rigid_modes(stiffness: RealArray, precision: float = _EPS, mass: RealArray | None = None) -> RealArray:
     """Basis ``(n, r)`` of the null space of a positive semidefinite stiffness, orthonormal after diagonal scaling.
 
     Rounding of its entries leaves rigid motions a few times itself, whatever ``n``. A slender or locally refined body
@@ -30,11 +30,12 @@ def find_rigid_modes(stiffness: RealArray, precision: float = _EPS) -> RealArray
     Args:
         stiffness: ``(n, n)``.
         precision: Relative rounding of its entries.
+        mass: ``(n, n)``; it tells coordinates that nothing resists but rounding.
 
     Raises:
         ModelError: The stiffness has a negative eigenvalue beyond rounding, or one that rounding may have made or not.
     """
-    n, scale = stiffness.shape[0], 1 / find_own_units(stiffness)
+    n, scale = stiffness.shape[0], 1 / find_own_units(stiffness, mass)
     values, vectors = np.linalg.eigh(scale[:, None] * stiffness * scale)
     values = values / max(np.abs(values).max(), 1e-300)
     rounding = bound_rounding(n)
@@ -123,11 +124,15 @@ def check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> No
 def find_own_units(stiffness: RealArray, mass: RealArray | None = None) -> RealArray:
     """``(n,)`` roots of the stiffness's own diagonal, by which results do not depend on the coordinates' units.
 
-    Where it is zero, of the mass's: as stiff as the softest of the others, mass by mass.
+    Where it is zero, or beside others by itself and mass by mass no more than rounding, of the mass's: as stiff as the
+    softest of the others, mass by mass.
     """
     stiff = np.abs(np.diag(stiffness))
     heavy = np.zeros(stiff.size) if mass is None else np.abs(np.diag(mass))
-    both = (stiff > 0) & (heavy > 0)
+    both, rounding = (stiff > 0) & (heavy > 0), bound_rounding(stiff.size)
+    squares = np.divide(stiff, heavy, out=np.full(stiff.size, np.inf), where=both)
+    rounded = np.maximum(stiff / max(stiff.max(), 1e-300), squares / squares[both].max(initial=1e-300)) < rounding
+    stiff, both = np.where(rounded, 0.0, stiff), both & ~rounded
     softest = np.min(stiff[both] / heavy[both]) if np.any(both) else 1.0
     squares = np.where(stiff > 0, stiff, softest * heavy)
     return np.sqrt(np.where(squares > 0, squares, 1.0))

@@ -102,6 +102,19 @@ def test_rigid_modes_that_only_rounding_resists_are_none_the_less():
         ReducedModel(**PLAIN | {"stiffness": np.diag([1e9, 1e-2]), "rigid_modes": [[0.0], [1.0]]})
 
 
+def test_rounding_of_the_stiffness_makes_no_rigid_motion_massless():
+    """A block on two nodes, joined by a spring along their line: beside the turn, the way along it has inertia, too."""
+    stiffness = np.diag([1e9, 1e9, 1e-7, 2e-7])
+    stiffness[0, 1] = stiffness[1, 0] = -1e9
+    rigid = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    block = {"damping": np.zeros((4, 4)), "stiffness": stiffness, "normal": [[0, 0, 1, 0]], "rigid_modes": rigid}
+    for modes in (rigid, None):  # given, or to be found: it took the turn for held
+        model = ReducedModel(mass=0.1 * np.eye(4), **block | {"rigid_modes": modes})
+        assert model.rigid_modes.shape == (4, 3)
+    with pytest.raises(ModelError, match="the mass is zero in one of them: it moves coordinate 3 most"):
+        ReducedModel(mass=np.diag([0.1, 0.1, 0.1, 0.0]), **block)
+
+
 def test_matrices_may_be_sparse_and_lists():
     sparse = {name: scipy.sparse.csr_matrix(PLAIN[name]) for name in ("mass", "damping", "stiffness", "normal")}
     model = ReducedModel(**sparse)
