@@ -34,16 +34,16 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
     """By how much a worn depth slows its own growth, ``diag(k_w s) K_c``, ``(K_c, K_c)`` [1/cycle].
 
-    ``s`` is the sliding distance a cycle and ``K_c`` the mean contact stiffness, pressure per depth, of the pairs that
-    are ever closed, those that do not wear included, with floating bodies free to follow.
+    ``s`` is the distance slid while closed a cycle and ``K_c`` the mean contact stiffness, pressure per depth, of the
+    pairs that are ever closed, those that do not wear included, with floating bodies free to follow.
 
     Args:
         solution: The state.
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
     """
     problem, system = solution.problem, solution.problem.system
-    closes = np.any(classify_contact(solution, SAMPLES) != OPEN, axis=0)
-    pairs = np.flatnonzero(closes & problem.opens)  # load that leaves worn ones goes to the others
+    closed = classify_contact(solution, SAMPLES) != OPEN
+    pairs = np.flatnonzero(closed.any(axis=0) & problem.opens)  # load that leaves worn ones goes to the others
     decay = np.zeros((problem.model.pairs,) * 2)
     if not pairs.size:
         return decay
@@ -54,7 +54,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     bends = free.T @ flexibility @ free
     bends[np.abs(bends) <= _RIGID * system.flexibility[rows].max()] = 0.0
     stiffness = free @ np.linalg.pinv(bends, rcond=1e-10, hermitian=True) @ free.T
-    sliding = measure_sliding(solution.sliding_speed(SAMPLES)[:, pairs], 1 / problem.frequency)
+    sliding = measure_sliding((closed * solution.sliding_speed(SAMPLES))[:, pairs], 1 / problem.frequency)
     weight = coefficient[pairs] * sliding / problem.model.areas[pairs]
     wears = weight > 0  # the others keep their depth, to the last digit
     decay[np.ix_(pairs[wears], pairs[wears])] = (weight[:, None] * stiffness)[np.ix_(wears, wears)]

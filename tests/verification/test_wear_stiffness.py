@@ -83,11 +83,39 @@ def test_a_pair_wears_while_it_is_closed_and_stands_as_stiff_throughout():
     """Open for 45 % of the period. Its load over its depth is the static flexibility's inverse, and nothing floats."""
     model = replace(lift_off_oscillator(excitation=4.0), pair_area=[0.5])
     solution = solve(ContactProblem(model, ContactLaws(friction=0.3), 0.2, 9))
-    assert 0.4 < np.mean(classify_contact(solution, SAMPLES) == OPEN) < 0.5
+    closed = classify_contact(solution, SAMPLES) != OPEN
+    assert 0.4 < np.mean(~closed) < 0.5
     flexibility = np.linalg.inv(model.stiffness)[3, 3]
-    sliding = solution.sliding_speed(SAMPLES).mean() / 0.2
+    sliding = (closed * solution.sliding_speed(SAMPLES)).mean() / 0.2
     decay = find_wear_stiffness(solution, np.array([1e-3]))
     assert decay[0, 0] == pytest.approx(1e-3 * sliding / 0.5 / flexibility, rel=1e-12)
+
+
+def test_what_slides_while_it_is_open_takes_no_pressure_off():
+    """Closed for a fifth of the cycle, in which it slides a tenth of its way: ``2 X (1 - c)``, ``c`` that of its end.
+
+    A cycle takes ``decay`` of the depth that is left over; by the whole way it was ten times as much, more than contact
+    can follow, and the wear of single cycles was given up.
+    """
+    spring, load, swing, area, closing = 1e7, 100.0, 1e-5, 2e-5, 0.8
+    model = ReducedModel(
+        mass=np.zeros((2, 2)),
+        damping=np.zeros((2, 2)),
+        stiffness=np.diag([1e9, spring]),  # what rubs is driven, what presses is the spring
+        normal=[[0.0, 1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, load * closing], 1: [1e9 * swing, -load]},
+        pair_area=[area],
+    )
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless"), 100.0, 31)
+    coefficient = 0.5 * area / (spring * 2 * swing * (1 - closing))  # so that decay is a half
+    decay = find_wear_stiffness(solve(problem), np.array([coefficient]))
+    assert decay[0, 0] == pytest.approx(0.5, rel=0.1)
+    history, left = evolve_wear(problem, 20, coefficient), [load * (1 - closing)]
+    for _ in range(20):
+        left.append(left[-1] - coefficient * swing / area * spring * left[-1] ** 2 / load)
+    assert history.stopped is None
+    np.testing.assert_allclose(load * (1 - closing) - spring * history.depth[:, 0], left, rtol=0.02)
 
 
 def test_a_load_that_open_pairs_do_not_share_wears_on_and_on():
