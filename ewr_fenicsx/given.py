@@ -25,9 +25,11 @@ def read_numbers(name: str, value: object, kind: type = float, remedy: str = "gi
         remedy: What to do about complex numbers where ``kind`` is ``float``.
 
     Raises:
-        ModelError: Something else than numbers, such as truth values; rows of unequal lengths, or complex numbers where
-            real ones belong.
+        ModelError: Something else than numbers, such as truth values; rows of unequal lengths, complex numbers where
+            real ones belong, or entries that a mask hides.
     """
+    if np.ma.is_masked(value):
+        raise ModelError(f"{name} has entries that its mask hides; give a number for each, as masked.filled(0) does")
     try:
         array = np.array(value.toarray() if scipy.sparse.issparse(value) else value)
     except ValueError:

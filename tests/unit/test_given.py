@@ -11,6 +11,7 @@ import pytest
 from small_models import random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate
+from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import keep
 from ewr_fenicsx.solver.weights import adopt_weights
 
@@ -97,3 +98,15 @@ def test_loads_and_outputs_of_a_model_cannot_be_written_to():
                     change(part)
         assert kept.load.keys() == model.load.keys() and kept.outputs.keys() == model.outputs.keys()
     assert replace(model, load={**model.load, 3: np.ones(model.size)}).load.keys() == {*model.load, 3}
+
+
+def test_entries_that_a_mask_hides_are_refused():
+    """They were read as the numbers that lie under the mask."""
+    hidden = lambda values: np.ma.masked_array(values, mask=[True])  # noqa: E731
+    given = {"mass": [[1.0]], "damping": [[20.0]], "stiffness": [[1e6]], "tangential": [[1.0]], "load": {1: [100.0]}}
+    for name, value in {"mass": hidden([1.0]), "load": {1: hidden([100.0])}, "outputs": {"x": hidden([1.0])}}.items():
+        with pytest.raises(ModelError, match=f"{name}.* has entries that its mask hides"):
+            ReducedModel(**{**given, name: value})
+    with pytest.raises(ModelError, match="friction has entries that its mask hides"):
+        ContactLaws(friction=hidden([0.3]))
+    assert ReducedModel(**{**given, "mass": np.ma.masked_array([[1.0]], mask=[[False]])}).mass == 1.0
