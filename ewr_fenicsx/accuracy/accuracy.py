@@ -90,6 +90,12 @@ class AccurateSolution:
     seconds: float
     remedy: str = MORE
 
+    @property
+    def told_sliding(self) -> str:
+        """What is to be said of the sliding, and what to do; "" where it is no further off than all else."""
+        told = self.estimate.told_sliding
+        return f"{told}: ask for a smaller accuracy where that matters" if told else ""
+
     def summary(self) -> str:
         """A few lines for people."""
         found, orders = self.estimate, self.solution.orders
@@ -105,8 +111,8 @@ class AccurateSolution:
             lines.append(f"  modes raised from {modes[0]} to {modes[-1]}")
         if self.limit:
             lines.append(f"  NOT as accurate as asked: {self.limit}; {self.remedy}")
-        if found.told_sliding:
-            lines.append(f"  {found.told_sliding}: ask for a smaller accuracy where that matters")
+        if self.told_sliding:
+            lines.append(f"  {self.told_sliding}")
         return "\n".join([*lines, self.solution.summary()])
 
 

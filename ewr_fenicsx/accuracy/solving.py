@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from ewr_fenicsx.accuracy.accuracy import MORE, solve_to_accuracy
 from ewr_fenicsx.accuracy.estimates import Figure, estimate_at_once
@@ -70,7 +71,13 @@ def solve(
         return error.best
     remedy = "ask for less, or allow more in solve_to_accuracy" if found.remedy == MORE else found.remedy
     short = f"{found.limit}; {remedy}" if found.limit else ""
-    return replace(found.solution, estimated_error=found.estimate.total, short=short)
+    told = partial(recall, found.told_sliding)
+    return replace(found.solution, estimated_error=found.estimate.total, short=short, tell_error=told)
+
+
+def recall(told: str, _: PeriodicSolution) -> str:
+    """What was known of a solution's error when it was found."""
+    return told
 
 
 def tell_error(solution: PeriodicSolution, what: str = "", remedy: str = REMEDY, figure: Figure | None = None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -62,3 +63,14 @@ def test_sliding_that_is_much_further_off_than_the_response_is_told(total, slidi
     found = replace(solve_to_accuracy(pose_slipping()[0], 0.1), estimate=estimate)
     for text in (found.summary(), tell_estimate(estimate, "the response")):
         assert ("sliding (J_T, dissipation)" in text) == bool(told) and told in text
+
+
+@pytest.mark.parametrize("which, told", [(2, True), (3, False)])
+def test_the_summary_of_a_solution_to_an_accuracy_tells_it_as_well(which, told):
+    """Nobody was told where ``solve`` was asked for ten per cent, and the sliding was off by half."""
+    problem = pose_slipping()[which]
+    found, solution = solve_to_accuracy(problem, 0.1), solve(problem, accuracy=0.1)
+    exact = solve(replace(problem, harmonics=63), start=solution).merit["J_T"]
+    assert (abs(solution.merit["J_T"] / exact - 1) > 0.2) == told
+    for text in (found.summary(), solution.summary(), pickle.loads(pickle.dumps(solution)).summary()):
+        assert ("sliding (J_T, dissipation) may be off by" in text) == told
