@@ -61,6 +61,14 @@ def test_an_accuracy_may_take_as_many_multiples_whatever_the_harmonic():
     assert ["harmonic 63 is the highest" in tops[0], "harmonic 189 is the highest" in tops[1]] == [True, True], tops
 
 
+def test_multiples_that_an_accuracy_did_without_count_as_kept():
+    """It leaves out what does not matter, and was then told to have too few."""
+    model = ReducedModel([[1.0]], [[20.0]], [[1e6]], None, [[1.0]], {2: [100.0]}, outputs={"x": [1.0]})
+    solution = solve(ContactProblem(model, replace(RUBS, normal_force=200.0), 75.0), accuracy=0.01)
+    assert solution.orders[-1] >= 6 and 4 not in solution.orders and solution.estimated_error <= 0.01
+    assert not any("multiples of harmonic" in line for line in solution.cautions)
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_mode_without_damping_that_is_hit_is_told(friction):
     """Friction that the load overcomes adds no bound; a tenth of a per cent of damping does."""
