@@ -261,8 +261,8 @@ def measure_flexibility(
     if rows.shape[0] == 0:
         return mobility, mobility
     elastic = measure_at_rest(model, rows, wave)
-    norms = np.linalg.norm(rows, axis=1)
-    rigid = elastic <= 1e-12 * norms**2 / (np.abs(np.diag(model.stiffness)).max() or np.inf)
+    own = rows / find_own_units(model.stiffness, model.mass)  # their stiffness is one, whatever the coordinates' units
+    rigid = elastic <= _ROUNDED * np.linalg.norm(own, axis=1) ** 2
     if np.any(rigid):
         inverse = scipy.linalg.pinvh(model.matrix("mass", wave))  # other coordinates may have no mass
         mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].conj().T).real

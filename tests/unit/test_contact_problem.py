@@ -405,3 +405,20 @@ def test_a_given_force_that_the_samples_do_not_resolve_is_refused():
     at_rest = ContactProblem(friction_oscillator(load={0: 1.0}), swings(1), 0.0)
     with pytest.raises(ModelError, match="has a harmonic 1; give a positive frequency"):
         solve(at_rest)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3, 1e8])
+def test_how_a_pair_yields_does_not_depend_on_the_units_of_coordinates(unit):
+    """A free block in its own motion [m] and responses of its pairs, of 1e-8 and 2e-8 m/N, to ``unit`` N.
+
+    In small units they were taken for rigid, and what closes the truncation for a thousand times as much.
+    """
+    own = np.array([1e-8, 2e-8])
+    stiffness = np.diag([0.0, *(own * unit**2)])
+    mass = np.diag([1.0, *(1e-3 * own**2 * unit**2)])
+    rows = np.column_stack([[1.0, 1.0], np.diag(own * unit)])
+    model = ReducedModel(mass, 1e-5 * stiffness, stiffness, 0 * rows, rows, {1: [60.0, 0.0, 0.0]})
+    laws = ContactLaws("prescribed", normal_force=50.0, friction=0.3)
+    system = ContactProblem(model, laws, 50.0, 9, closure="spring").system
+    np.testing.assert_allclose(system.flexibility, own)
+    assert system.closures == ("springs",)
