@@ -26,6 +26,7 @@ _CORNERS = {
     "tetrahedron": ([(1, 2, 3), (2, 0, 3), (0, 1, 3), (0, 2, 1)], math.sqrt(2) / 2),
     "hexahedron": ([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)], 1.0),
 }
+_FOLDED = 1e-6  # of the largest Jacobian of a cell, below which a negative one is rounding
 _COMPLETE = (2, 3, 4, 5, 9, 10, 11, 12)  # numbers of these in gmsh, of first order and with all nodes of second order
 _CELL_NAMES = {(2, 3): "triangle", (2, 4): "quadrilateral", (3, 4): "tetrahedron", (3, 8): "hexahedron"}
 
@@ -48,7 +49,7 @@ def inspect_model(source: Path) -> Inspection:
 
     Raises:
         MeshError: No mesh, no named body, a boundary off the bodies or with facets of another one; cells of more than
-            one type, outside all bodies, in two bodies, there twice or inverted.
+            one type, outside all bodies, in two bodies, there twice or inverted, also by curved sides alone.
     """
     dimension = gmsh.model.getDimension()
     if dimension < 2 or not any(len(tags) for tags in gmsh.model.mesh.getElements(dimension)[1]):
@@ -89,6 +90,13 @@ def inspect_model(source: Path) -> Inspection:
                 raise MeshError(
                     f'{source}: body "{body}" has a {shape} with a scaled Jacobian of {quality:.3g} at '
                     f"({place}); expected more than 0: it is inverted, concave or flat"
+                )
+            if order > corners and (folded := find_folded(kind, coordinates[nodes, :dimension])).any():
+                middle = coordinates[nodes[np.argmax(folded), :corners]].mean(axis=0)[:dimension]
+                place = ", ".join(f"{value:.6g}" for value in middle)
+                raise MeshError(
+                    f'{source}: body "{body}" has a {shape} that its curved sides turn inside out, at ({place}); take '
+                    "more cells along the curve there, or thicker ones beside it"
                 )
     return Inspection(dimension, bodies, boundaries, quality)
 
@@ -248,3 +256,22 @@ def evaluate_scaled_jacobian(corners: np.ndarray, shape: str) -> np.ndarray:
     unit = np.divide(edges, lengths, out=np.zeros_like(edges), where=lengths > 0)
     determinants = np.linalg.det(unit) / ideal
     return np.maximum(determinants.min(axis=1), (-determinants).min(axis=1))
+
+
+def find_folded(kind: int, nodes: np.ndarray) -> np.ndarray:
+    """Which cells turn inside out somewhere, though their corners may not: by the Jacobian at each of their nodes.
+
+    Args:
+        kind: gmsh's number of their type.
+        nodes: Their coordinates in gmsh's order, ``(n_cells, n_nodes, dimension)`` [m].
+
+    Returns:
+        ``(n_cells,)``. A Jacobian of zero is none, as at the tip of a crack whose cells have their nodes at a quarter.
+    """
+    _, dimension, _, count, local, _ = gmsh.model.mesh.getElementProperties(kind)
+    places = np.zeros((count, 3))
+    places[:, :dimension] = np.reshape(local, (count, dimension))
+    slopes = gmsh.model.mesh.getBasisFunctions(kind, places.ravel(), "GradLagrange")[1].reshape(count, count, 3)
+    sizes = np.array([np.linalg.det(np.swapaxes(nodes, 1, 2) @ slope[:, :dimension]) for slope in slopes])
+    sizes *= np.sign(sizes.sum(axis=0))
+    return sizes.min(axis=0) < -_FOLDED * sizes.max(axis=0)

@@ -9,12 +9,13 @@ import gmsh
 BORE, FIT, RIM = 0.02, 0.03, 0.05
 
 
-def build(*, around: int = 16, across: int = 2) -> None:
+def build(*, around: int = 16, across: int = 2, order: int = 1) -> None:
     """Adds both bodies, their mesh and the groups blade, disk, joint, tip (the ring's bore) and clamp (the hub's rim).
 
     Args:
         around: Elements round the joint, a multiple of four.
         across: Elements over the thickness of each body.
+        order: Of the cells; of second order only the sides on the boundaries are curved.
     """
     geo = gmsh.model.geo
     centre = geo.addPoint(0.0, 0.0, 0.0)
@@ -51,3 +52,4 @@ def build(*, around: int = 16, across: int = 2) -> None:
     ):
         gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)
     gmsh.model.mesh.generate(2)
+    gmsh.model.mesh.setOrder(order)
