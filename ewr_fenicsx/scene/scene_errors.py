@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,8 +56,9 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     if kind == "unknown_key":
         loc = (*loc, detail["ctx"]["key"])
         homes = [name for name, field in sections.items() if loc[-1] in getattr(field.annotation, "model_fields", {})]
-        if "known keys" in message and homes:
-            message = f"unknown key here; it belongs to [{homes[0]}]"
+        if homes and "belongs to" not in message:
+            meant = message.partition("; did you mean ")[2] if len(loc) > 1 else ""  # a key at the top is a table's
+            message = f"unknown key here; it belongs to [{homes[0]}]" + f", or did you mean {meant}" * bool(meant)
     elif kind == "kind":
         loc = (*loc, "kind")
     elif kind == "missing" and isinstance(loc[-1], int):
@@ -74,8 +76,11 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         message = f"{message.rsplit(' ', 1)[0]} {detail['ctx'][limit]:g}"
     if kind == "path_type":
         message = "should be a path, in quotes"
-    if kind in ("dict_type", "model_type", "model_attributes_type"):
-        message = "should be a table"
+    no_table = kind in ("dict_type", "model_type", "model_attributes_type")
+    if no_table and len(loc) > 1 and typing.get_origin(sections[loc[0]].annotation) is dict:  # such as loads
+        strays = [key for key, entry in data[loc[0]].items() if not isinstance(entry, Mapping)]
+        if loc[1] in strays and not _lists_tables(data[loc[0]][loc[1]]):
+            return f"[{loc[0]}]", f'"{strays[0]}" stands in no table with a name; write [{loc[0]}.NAME] above it'
     path: list[str] = []
     for step in loc:
         # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote
@@ -86,6 +91,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
         else:
             continue
         path.append(str(step))
+    if no_table:
+        message = "should be a table" + ", in single brackets" * _lists_tables(data)
     for theirs, ours in (
         ("Input should", "should"),
         ("Tuple should", "should"),
@@ -99,3 +106,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     key = ".".join(path)
     shown = (isinstance(data, Mapping) and kind != "unknown_key") or not key
     return key if shown else f"{key} = {data!r}", message
+
+
+def _lists_tables(entry: Any) -> bool:
+    """Whether an entry is what double brackets make in TOML."""
+    return isinstance(entry, list) and any(isinstance(table, Mapping) for table in entry)

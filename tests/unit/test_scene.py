@@ -40,6 +40,17 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[contact]\nfrction = 0.3", r'contact\.frction = 0\.3: unknown key; did you mean "friction"\?'),
         ("[contct]\nfriction = 0.3", r'contct = .*unknown key; did you mean "contact"\?'),
         ("[contact]\nharmonics = 3", r"contact\.harmonics = 3: unknown key here; it belongs to \[solver\]"),
+        ("[contact]\ntolerance = 1e-5", r'it belongs to \[solver\], or did you mean "pair_tolerance"\?$'),
+        (
+            "[materials]\nyoung = 1e11",
+            r'\[materials\]: "young" stands in no table with a name; write \[materials\.NAME\] above',
+        ),
+        (
+            "[outputs]\nboundary = 'tip'\ndirection = [1, 0]",
+            r'toml: \[outputs\]: "boundary" .* write \[outputs\.NAME\] above it$',
+        ),
+        ("[flanks.left]\nparameters = 3", r"flanks\.left\.parameters = 3: should be a table$"),
+        ("[[flanks.left]]\nfriction = 0.1", r"flanks\.left = .*: should be a table, in single brackets$"),
         ("[materials.blade]\nyung = 1.0", r'materials\.blade\.yung = 1\.0: unknown key; did you mean "young"\?'),
         ("[loads.s]\nboundry = 'tip'\nforce = [1, 0]", r'loads\.s\.boundry = .*did you mean "boundary"\?'),
         ("[contact]\nfriction = -0.2", r"contact\.friction = -0\.2: should be greater than or equal to 0"),
@@ -99,7 +110,10 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("frequency = 900", r"not valid TOML: a key that was given before \(at end of document\)$"),
         ("[loads.s]\nspeed = 9000", r'loads\.s\.speed = 9000: unknown key; it belongs to kind = "rotation"$'),
         ("[damping]\nratio = 0.01", r'damping\.ratio = 0\.01: unknown key; it belongs to kind = "modal"$'),
-        ("[outputs]\ntip = 'tip'", r"outputs\.tip = 'tip': should be a table$"),
+        (
+            "[outputs]\ntip = 'tip'",
+            r'\[outputs\]: "tip" stands in no table with a name; write \[outputs\.NAME\] above it$',
+        ),
         ("[loads.s]\nboundary = 'tip'\nforce = []", r"loads\.s\.force = \[\]: has too few entries; give at least 2$"),
         (
             "[solver]\nharmonics = [0, 1.0]",
