@@ -54,7 +54,7 @@ def keep_fewer(problem: ContactProblem, modes: Sequence[int]) -> ContactProblem:
         responses = respond(problem, fewer)
     basis = np.hstack([np.delete(np.eye(model.size), fewer, axis=1), responses])
     load = None if problem.load is None else {h: basis.T @ f for h, f in problem.load.items()}
-    return replace(problem, model=restrict(model, basis, model.rigid_modes), load=load)
+    return replace(problem, model=restrict(model, basis, basis.T @ model.rigid_modes), load=load)
 
 
 @lru_cache(maxsize=2)

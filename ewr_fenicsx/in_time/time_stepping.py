@@ -131,7 +131,7 @@ class TimeScheme:
                 "of stiffness; take more steps or a higher frequency"
             ) from None
         self.expansion = self.system.expansion @ modes
-        self._contraction = modes.T @ inertia @ self.system.expansion.T
+        self._contraction = self.expansion.T @ (problem.model.mass + reach * problem.model.stiffness)
         self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
         self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
         self.thetas = np.where(self.mass > _TOO_FAST, self.theta, max(self.theta, _FOLLOWING))

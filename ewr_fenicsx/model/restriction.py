@@ -10,6 +10,7 @@ import scipy.linalg
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS
 from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.rigid_modes import find_own_units
 
 _ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
 
@@ -19,9 +20,10 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
 
     Args:
         model: The model.
-        basis: ``(n, n')``, orthonormal columns.
-        rigid_modes: ``(n, r)`` those of the model's that are among these motions.
+        basis: ``(n, n')``, independent columns.
+        rigid_modes: ``(n', r)`` those of the model's that are among these motions, as ``y``.
     """
+    units = find_own_units(model.stiffness, model.mass)
     project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     cyclic = model.cyclic
@@ -31,14 +33,14 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
         cyclic = replace(cyclic, **projected, outputs={name: basis.T @ c for name, c in cyclic.outputs.items()})
     return replace(
         model,
-        mass=symmetric(_project(model.mass, basis)),
+        mass=symmetric(_project(model.mass, basis, units)),
         damping=basis.T @ model.damping @ basis,
-        stiffness=symmetric(_project(model.stiffness, basis)),
+        stiffness=symmetric(_project(model.stiffness, basis, units)),
         normal=project(model.normal),
         tangential=project(model.tangential),
         load={h: basis.T @ f for h, f in model.load.items()},
         outputs={name: basis.T @ c for name, c in model.outputs.items()},
-        rigid_modes=basis.T @ rigid_modes,
+        rigid_modes=rigid_modes,
         cyclic=cyclic,
     )
 
@@ -62,9 +64,24 @@ def solve_stuck(
     return values, stuck @ vectors
 
 
-def _project(matrix: RealArray, basis: RealArray) -> RealArray:
-    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it."""
-    forces, eps = np.abs(matrix).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
-    reached = np.abs(basis).T @ forces + eps * forces.sum()
-    projected, rounding = basis.T @ matrix @ basis, _ROUNDINGS * len(matrix) * eps * np.add.outer(reached, reached)
-    return np.where(np.abs(projected) > rounding, projected, 0.0)
+def find_bond_forces(model: ReducedModel, bonds: RealArray, left: ComplexArray) -> ComplexArray:
+    """Forces ``(b, k)`` in bonds ``(b, n)`` that make up for what the other forces leave over, ``(n, k)`` [N].
+
+    The least of them where bonds are redundant.
+    """
+    units = find_own_units(model.stiffness, model.mass)[:, None]
+    return np.linalg.lstsq(bonds.T / units, left / units, rcond=1e-12)[0]
+
+
+def _project(matrix: RealArray, basis: RealArray, units: RealArray) -> RealArray:
+    """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it.
+
+    What is rounding, the stiffness's own ``units`` ``(n,)`` tell, for those of the coordinates may be unlike.
+    """
+    own, moved = matrix / units[:, None] / units, units[:, None] * basis
+    sizes = np.linalg.norm(moved, axis=0)
+    moved = moved / sizes
+    forces, eps = np.abs(own).sum(axis=1), np.finfo(float).eps  # each entry of the basis is off by about eps
+    reached = np.abs(moved).T @ forces + eps * forces.sum()
+    projected, rounding = moved.T @ own @ moved, _ROUNDINGS * len(own) * eps * np.add.outer(reached, reached)
+    return np.where(np.abs(projected) > rounding, projected, 0.0) * sizes[:, None] * sizes

@@ -19,6 +19,7 @@ from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
 from ewr_fenicsx.model.receptance import measure_at_rest
 from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.restriction import restrict
+from ewr_fenicsx.model.rigid_modes import find_own_units
 
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, or beside the pair's others, below which it is rounding
@@ -129,7 +130,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     kept, expansion = hold(model, held)
     usual = whole @ expansion
     _refuse_alike(model, whole, next_rows, index)
-    _refuse_immobile(np.linalg.norm(usual, axis=1) <= _ROUNDED * np.linalg.norm(whole, axis=1), index)
+    reached = np.linalg.norm(np.abs(whole) @ np.abs(expansion), axis=1)
+    _refuse_immobile(np.linalg.norm(usual, axis=1) <= _ROUNDED * reached, index)
     flexibility, mobility = measure_flexibility(kept, usual, wave)
     if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
         twins = np.array([index[direction] for direction in TANGENTS])
@@ -209,14 +211,16 @@ def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
 def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
     """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
 
-    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left.
+    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left. Which
+    rows are redundant is asked in the stiffness's own units: where those of coordinates are unlike, as of modes beside
+    responses to unit forces, rows that differ in the latter alone would look alike.
 
     Args:
         model: The model.
         rows: ``(m, n)`` rows held.
 
     Returns:
-        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``.
+        The smaller model and the basis ``T``, ``(n, n - rank)``, orthonormal in these units, with ``x = T y``.
 
     Raises:
         ModelError: Nothing is left to move.
@@ -224,14 +228,16 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
     rows = rows[np.any(rows != 0, axis=1)]
     if rows.shape[0] == 0:
         return model, np.eye(model.size)
-    basis = scipy.linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True), rcond=1e-10)
-    if basis.shape[1] == 0:
+    units = find_own_units(model.stiffness, model.mass)[:, None]
+    own = rows / units.T
+    free = scipy.linalg.null_space(own / np.linalg.norm(own, axis=1, keepdims=True), rcond=1e-10)
+    if free.shape[1] == 0:
         raise ModelError(
             f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
             "directions, or give a model with more coordinates"
         )
-    held = restrict(model, basis, _rigid_modes_that_obey(model, rows))
-    return held, basis
+    basis = free / units
+    return restrict(model, basis, free.T @ (units * _rigid_modes_that_obey(model, rows))), basis
 
 
 def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:

@@ -12,6 +12,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
 from ewr_fenicsx.model.receptance import receptance
+from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import FourierBasis, sample_amplitudes
 from ewr_fenicsx.problem.law_claims import read_fields
@@ -277,7 +278,7 @@ class PeriodicMotion:
                 model.rows(d, model.wave_of(h)).conj().T @ found[d][j] for d in known
             )
             left = elastic[j] + viscous[j] + inertial[j] - given
-            force = np.linalg.lstsq(bonds.T, left, rcond=1e-12)[0]
+            force = find_bond_forces(model, bonds, left[:, None])[:, 0]
             start = 0
             for direction, pairs in held:
                 found[direction][j, pairs] = force[start : start + pairs.size]

@@ -13,6 +13,7 @@ from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, walks_on
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
+from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.solution.periodic_motion import SECOND
@@ -203,7 +204,7 @@ class SteadyState:
         for direction in model.tangent_directions:
             left -= found[direction] @ model.rows(direction)
         bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
-        force = np.linalg.lstsq(bonds.T, left.T, rcond=1e-12)[0].T
+        force = find_bond_forces(model, bonds, left.T).T
         start = 0
         for direction, pairs in held:
             found[direction][:, pairs] = force[:, start : start + pairs.size]

@@ -105,7 +105,7 @@ def prepare(kind: str, state: str, harmonics=3, samples: int | None = None, seed
         load[h] = impedance @ system.expansion @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
         if system.expansion.shape[1] < model.size:  # bonds: the load must move the bonded structure there
             T = system.expansion
-            load[h] = T @ (T.T @ impedance @ T) @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
+            load[h] = np.linalg.pinv(T.T) @ (T.T @ impedance @ T) @ np.linalg.lstsq(system.rows, wanted, rcond=None)[0]
         load[h] = load[h].real if h == 0 else load[h]
     problem = replace(problem, model=replace(model, load=load))
     balance = HarmonicBalance(problem.system)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import dovetail, friction_oscillator, lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve, solve_to_accuracy
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact
 
@@ -138,3 +138,35 @@ def test_prescribed_forces_outside_the_harmonics_kept_are_reported():
     np.testing.assert_allclose(solution.history("normal_force", 64)[:, 0], expected, atol=1e-14)
     assert 0 < solution.merit["cone_violation"] < 0.3
     assert np.any(classify_contact(solution, 64) == SLIP)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e8, 1e11, 1e14])
+def test_bonds_that_differ_in_responses_to_unit_forces_alone_are_as_many(unit):
+    """A block's own motion has its mode in m, each place where it is held its response to ``unit`` N, of 1e-11 m/N.
+
+    Rows as (1, 1e-11, 0) and (1, 0, 3e-11) were taken for one, and the block moved by a third too far.
+    """
+    mount, flexibility, omega = 1e6, np.array([1e-11, 3e-11]), 2 * np.pi * 50.0
+    stiffness = np.diag([mount, *(flexibility * unit**2)])
+    rows = np.column_stack([[1.0, 1.0], np.diag(flexibility * unit)])
+    model = ReducedModel(
+        np.diag([1.0, 0.0, 0.0]),
+        1e-4 * stiffness,
+        stiffness,
+        0 * rows,
+        rows,
+        {1: [100.0, 0, 0]},
+        outputs={"x": [1, 0, 0]},
+    )
+    problem = ContactProblem(model, ContactLaws("prescribed", "bonded", normal_force=1.0), 50.0, 1)
+    drag = 1 + 1e-4j * omega
+    moved = 100.0 / (drag * (mount + np.sum(1 / flexibility)) - omega**2)
+    for found, close in ((solve(problem), 1e-9), (integrate(problem, steps=400, tolerance=1e-10), 1e-3)):
+        assert found.output("x")[1] == pytest.approx(moved, rel=close)
+        force = to_amplitude(found.history("friction_force", 400))
+        np.testing.assert_allclose(force, -drag * moved / flexibility, rtol=2 * close)
+
+
+def to_amplitude(samples):
+    """Of harmonic 1, one a column."""
+    return 2 * np.fft.fft(samples, axis=0)[1] / len(samples)
