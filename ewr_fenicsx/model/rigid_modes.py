@@ -94,11 +94,15 @@ def check_rigid_modes(stiffness: RealArray, mass: RealArray, modes: RealArray) -
 
 def _clear_rounding(stiffness: RealArray, mass: RealArray, modes: RealArray) -> RealArray:
     """The stiffness with zeros at coordinates whose own motion the modes contain, where it is rounding."""
-    heavy = find_own_units(mass, stiffness)
-    share = np.sum(scipy.linalg.orth(heavy[:, None] * modes) ** 2, axis=1) if modes.size else np.zeros(len(heavy))
-    own = np.abs(np.diag(stiffness)) / heavy**2
-    free = (share > 1 - _NOTHING) & (own <= bound_rounding(len(own)) * own.max(initial=0.0))
-    return np.where(free[:, None] | free, 0.0, stiffness) if np.any(free) else stiffness
+    if modes.size == 0:
+        return stiffness
+    heavy, rounding = find_own_units(mass, stiffness), bound_rounding(len(modes))
+    share, own = np.sum(scipy.linalg.orth(heavy[:, None] * modes) ** 2, axis=1), np.abs(np.diag(stiffness)) / heavy**2
+    free = (share > 1 - _NOTHING) & (own <= rounding * own.max())
+    cleared = np.where(free[:, None] | free, 0.0, stiffness)
+    # a mass far above all others has springs, though they hardly move it: without them the modes would meet forces
+    met, allowed = (np.abs(matrix @ modes) for matrix in (cleared, stiffness))
+    return cleared if np.all(met <= allowed + rounding * (np.abs(stiffness) @ np.abs(modes))) else stiffness
 
 
 def check_inertia(mass: RealArray, stiffness: RealArray, modes: RealArray) -> None:

@@ -370,6 +370,15 @@ def test_a_block_on_two_pads_has_no_stiffness_across_them_but_rounding():
     np.testing.assert_allclose(x, exact, rtol=0, atol=1e-6 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("spring", [1e2, 1e6])
+def test_springs_on_a_mass_far_above_all_others_are_no_rounding(spring):
+    """A ground that is shaken, and a contact node of next to no mass, beside which all other stiffness is little."""
+    stiffness = np.array([[spring, -spring, 0.0], [-spring, spring + 1e9, -1e9], [0.0, -1e9, 1e9]])
+    mass = np.diag([1e14, 1.0, 1e-12])
+    model = ReducedModel(mass, 0 * mass, stiffness, normal=[[0.0, 0.0, 1.0]], rigid_modes=np.ones((3, 1)))
+    np.testing.assert_array_equal(model.stiffness, stiffness)
+
+
 def test_holding_rows_leaves_the_motions_that_obey_them():
     model = dovetail()
     rows = np.vstack([model.normal[:2], model.tangential[1:2]])
