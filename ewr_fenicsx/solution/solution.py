@@ -177,7 +177,8 @@ class PeriodicSolution(PeriodicMotion):
         """Whether deviations of other nodal diameters are seen to grow; that none is proves little."""
         growth = self.ring_growth
         if leaves(growth):
-            grow = f"deviations of {growth.diameters} nodal diameters grow by {growth.factor - 1:.0%} a period"
+            waves = f"{growth.diameters} nodal diameter{'s' * (growth.diameters != 1)}"
+            grow = f"deviations of {waves} grow by {growth.factor - 1:.0%} a period"
             if not self.problem.system.laws:  # nothing is truncated
                 return [f"unstable: {grow}; integrate(...) on unroll_ring(model) shows how"]
             told = f"perhaps unstable: as truncated forces have it, {grow}"
