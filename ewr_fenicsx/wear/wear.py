@@ -100,7 +100,16 @@ class WearHistory:
         if not np.any(self.rate[-1]):
             began = self.cycles[np.flatnonzero(~np.any(self.rate, axis=1))[0]]
             lines.append(f"  nothing wears from cycle {began} on: no pair that may wear slides while it is pressed")
+            if self._passes_by:
+                lines.append("  pairs slide while they are open; more harmonics may show that they rub as they land")
         return lines
+
+    @property
+    def _passes_by(self) -> bool:
+        """Whether in the end pairs that may wear are pressed now, and slide then."""
+        last = self.solutions[-1]
+        passes = last.pressing_force().any(axis=0) & last.sliding_speed().any(axis=0)
+        return bool(np.any(passes & (self.coefficient > 0)))
 
     @cached_property
     def cycles(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from counted_calls import count_calls
-from small_models import dovetail
+from small_models import dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, solve, solve_to_accuracy
 from ewr_fenicsx.errors import ModelError, NotConverged, OutputError
@@ -72,6 +72,17 @@ def test_a_joint_that_does_not_slide_is_solved_once(jump, deepest):
     assert not np.any(history.depth) and history.stopped is None
     lines = tell_wear(history, 1.0, 5)
     assert "  nothing wears from cycle 0 on: no pair that may wear slides while it is pressed" in lines
+    assert not any("as they land" in line for line in lines)
+
+
+def test_pairs_that_slide_while_they_are_open_may_rub_as_they_land():
+    """Few harmonics see them stick at once: of a small wear nothing is left."""
+    model = replace(lift_off_oscillator(excitation=1.5), pair_area=[0.5])
+    tapping = ContactProblem(model, ContactLaws(friction=20.0), 0.2, 5)
+    few, many = (evolve_wear(replace(tapping, harmonics=n), 3, 1e-3) for n in (5, 31))
+    told = "  pairs slide while they are open; more harmonics may show that they rub as they land"
+    assert not np.any(few.rate) and told in few.summary().splitlines()
+    assert np.all(many.rate[-1] > 0) and told not in many.summary().splitlines()
 
 
 def pose_fading_resonance() -> ContactProblem:
