@@ -19,6 +19,7 @@ from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
 from ewr_fenicsx.model.statics import list_most
 
 _SEEN = 1e-10  # motion of rows by rigid modes, over what they could see of them, below which it is rounding
+_BALANCED = 1e-12  # work of a load on rigid modes, over that of its parts, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ def condense(
             responses[j, :, :m] = found.to_rows(h)
         if h in load:
             responses[j, :, m] = found.to_load(h, load[h])
-    motion, rigid_load = readers @ modes, modes.T @ load.get(0, np.zeros(model.size)).real
+    motion, rigid_load = readers @ modes, _load_rigid_modes(modes, load.get(0, np.zeros(model.size)).real)
     if modes.shape[1]:  # another generalised inverse, as valid: it keeps H_0 positive where few rows are closed
         stiffness = np.trace((motion @ motion.T)[:m, :m]) / max(np.trace(responses[0, :m, :m].real), 1e-300)
         work = np.column_stack([motion[:m].T, rigid_load])
@@ -131,6 +132,12 @@ def condense(
         rigid_load=rigid_load,
         outputs={n: np.concatenate([responses[:, m + i], rigid[:, m + i]], axis=1) for i, n in enumerate(names)},
     )
+
+
+def _load_rigid_modes(modes: RealArray, load: RealArray) -> RealArray:
+    """``(r,)`` work of a load ``(n,)`` on rigid modes: none if it balances but for rounding, as on a ring that spins."""
+    work = modes.T @ load
+    return np.where(np.abs(work) > _BALANCED * (np.abs(modes.T) @ np.abs(load)), work, 0.0)
 
 
 class Responses:
