@@ -14,6 +14,8 @@ from ewr_fenicsx.errors import ModelError
 RealArray = np.ndarray
 ComplexArray = np.ndarray
 
+_SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
+
 
 def read_numbers(name: str, value: object, kind: type = float, remedy: str = "give real numbers") -> np.ndarray:
     """A copy of some numbers as an array of one type, in the shape that they have.
@@ -48,6 +50,19 @@ def point_at(name: str, values: np.ndarray, good: np.ndarray) -> str:
         return ""
     at = np.unravel_index(np.argmin(good), np.shape(good))
     return f"{name}{list(map(int, at)) if at else ''} = {values[at]:g}"
+
+
+def check_symmetry(name: str, matrix: RealArray) -> None:
+    """That a matrix is symmetric.
+
+    Raises:
+        ModelError: It is not.
+    """
+    asymmetry = np.abs(matrix - matrix.T).max()
+    if asymmetry > _SYMMETRY * np.abs(matrix).max():
+        raise ModelError(
+            f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
+        )
 
 
 class ReadOnly(dict):

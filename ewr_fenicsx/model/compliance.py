@@ -15,7 +15,8 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.model.receptance import GeneralisedInverse, NormalModes, find_normal_modes, solve_directly, superpose
-from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
+from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import bound_motion
 from ewr_fenicsx.model.statics import list_most
 
 _SEEN = 1e-10  # motion of rows by rigid modes, over what they could see of them, below which it is rounding
@@ -135,7 +136,7 @@ def condense(
 
 
 def _load_rigid_modes(modes: RealArray, load: RealArray) -> RealArray:
-    """``(r,)`` work of a load ``(n,)`` on rigid modes: none if it balances but for rounding, as on a ring that spins."""
+    """``(r,)`` work of a load ``(n,)`` on rigid modes: none if it balances but for rounding, as on a spinning ring."""
     work = modes.T @ load
     return np.where(np.abs(work) > _BALANCED * (np.abs(modes.T) @ np.abs(load)), work, 0.0)
 

@@ -22,12 +22,20 @@ import h5py
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, ReadOnly, RealArray, keep, read_harmonic, read_numbers, refreeze
+from ewr_fenicsx.given import (
+    ComplexArray,
+    ReadOnly,
+    RealArray,
+    check_symmetry,
+    keep,
+    read_harmonic,
+    read_numbers,
+    refreeze,
+)
 from ewr_fenicsx.model.cyclic_symmetry import ROWS, CyclicSymmetry, read_cyclic_symmetry, read_rows, write_rows
 from ewr_fenicsx.model.rigid_modes import (
     check_inertia,
     check_rigid_modes,
-    find_own_units,
     find_precision,
     find_rigid_modes,
 )
@@ -43,7 +51,6 @@ _REMEDIES = {  # what to do about complex ones
 }
 SMALLEST_LOAD, LARGEST_LOAD = 1e-100, 1e100  # [N] of all entries the largest: squares must stay numbers
 _HELD = 1e-9  # of a rigid motion by neighbours, over the stiffness, below which it is rounding
-_SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -319,16 +326,6 @@ def check_loads(load: Mapping[int, ComplexArray], size: int) -> dict[int, Comple
     return ReadOnly(loads)
 
 
-def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
-    """``(r,)`` motion that rows could see of each rigid mode: far less than this is rounding.
-
-    By Cauchy and Schwarz, in units of which the coordinates' own ones drop out.
-    """
-    root = find_own_units(model.stiffness, model.mass)
-    seen = np.linalg.norm(rows / root, axis=1).max(initial=0.0)
-    return seen * np.linalg.norm(root[:, None] * model.rigid_modes, axis=0)
-
-
 def _matrix(name: str, value, shape: tuple[int | None, int | None] = (None, None)) -> RealArray:
     matrix = np.atleast_2d(read_numbers(name, value, remedy=_REMEDIES.get(name, "give a real one")))
     expected = tuple("any" if s is None else s for s in shape)
@@ -375,14 +372,6 @@ def _load(h, amplitude, size: int) -> ComplexArray:
     if h == 0 and np.any(vector.imag != 0):
         raise ModelError("load[0] is the mean load and must be real")
     return vector
-
-
-def check_symmetry(name: str, matrix: RealArray) -> None:
-    asymmetry = np.abs(matrix - matrix.T).max()
-    if asymmetry > _SYMMETRY * np.abs(matrix).max():
-        raise ModelError(
-            f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
-        )
 
 
 def _check_mass(mass: RealArray) -> None:

@@ -73,6 +73,16 @@ def find_bond_forces(model: ReducedModel, bonds: RealArray, left: ComplexArray) 
     return np.linalg.lstsq(bonds.T / units, left / units, rcond=1e-12)[0]
 
 
+def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
+    """``(r,)`` motion that rows could see of each rigid mode: far less than this is rounding.
+
+    By Cauchy and Schwarz, in units of which the coordinates' own ones drop out.
+    """
+    root = find_own_units(model.stiffness, model.mass)
+    seen = np.linalg.norm(rows / root, axis=1).max(initial=0.0)
+    return seen * np.linalg.norm(root[:, None] * model.rigid_modes, axis=0)
+
+
 def _project(matrix: RealArray, basis: RealArray, units: RealArray) -> RealArray:
     """``basis^T A basis`` without its rounding, which would count as mass or stiffness where a motion is free of it.
 

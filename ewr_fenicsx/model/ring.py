@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
+from ewr_fenicsx.given import ComplexArray, RealArray, check_symmetry, read_numbers
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS, CyclicSymmetry
-from ewr_fenicsx.model.reduced_model import ReducedModel, check_symmetry
+from ewr_fenicsx.model.reduced_model import ReducedModel
 
 LARGEST_RING = 8000  # coordinates of an unrolled model, three dense matrices of half a gigabyte each
 _APART = 1e-8  # motion of one cut beside the other's, over the largest of a rigid mode, below which it is rounding

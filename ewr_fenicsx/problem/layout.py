@@ -17,8 +17,8 @@ from ewr_fenicsx.errors import ModelError, name_pairs
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.law_kinds import DIRECTIONS, TANGENTS, LawKind
 from ewr_fenicsx.model.receptance import measure_at_rest
-from ewr_fenicsx.model.reduced_model import ReducedModel, bound_motion
-from ewr_fenicsx.model.restriction import restrict
+from ewr_fenicsx.model.reduced_model import ReducedModel
+from ewr_fenicsx.model.restriction import bound_motion, restrict
 from ewr_fenicsx.model.rigid_modes import find_own_units
 
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
