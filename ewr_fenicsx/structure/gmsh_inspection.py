@@ -7,7 +7,6 @@ facet.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -224,17 +223,22 @@ def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], c
     number = np.unique(np.concatenate([sides, named]), axis=0, return_inverse=True)[1].ravel()
     of_sides, of_named = np.split(number, [len(sides)])
     of_entity = np.split(of_named, np.cumsum([len(rows) for rows in facets.values()])[:-1])
-    names: dict[str, np.ndarray] = {}
     for (entity, name), mine in zip(owner.items(), of_entity, strict=True):
         if loose := np.count_nonzero(~np.isin(mine, of_sides)):
             raise MeshError(
                 f'{source}: boundary "{name}": {loose} of {len(mine)} facets of entity '
                 f"{entity} belong to no cell; is it the edge of a meshed body?"
             )
-        names[name] = np.append(names.get(name, np.empty(0, dtype=int)), mine)
-    for one, other in itertools.combinations(names, 2):
-        if both := len(np.intersect1d(names[one], names[other])):
-            raise MeshError(f'{source}: {both} facets are in "{one}" and in "{other}"; expected one name for each')
+    names = list(dict.fromkeys(owner.values()))
+    of_name = np.repeat([names.index(name) for name in owner.values()], [len(rows) for rows in facets.values()])
+    facet, name = np.divmod(np.unique(of_named * len(names) + of_name), len(names))
+    shared = np.flatnonzero(facet[1:] == facet[:-1])
+    if shared.size:
+        one, other = name[shared[0]], name[shared[0] + 1]
+        both = np.count_nonzero((name[shared] == one) & (name[shared + 1] == other))
+        raise MeshError(
+            f'{source}: {both} facets are in "{names[one]}" and in "{names[other]}"; expected one name for each'
+        )
 
 
 def evaluate_scaled_jacobian(corners: np.ndarray, shape: str) -> np.ndarray:
