@@ -81,7 +81,7 @@ def keep(value: object) -> object:
     """What a frozen owner keeps of something given: arrays that nobody can write to, copied where somebody could."""
     if isinstance(value, np.ndarray):
         if value.flags.writeable or value.base is not None:
-            value = np.array(value)
+            value = np.array(value, subok=np.ma.is_masked(value))  # whoever reads it refuses what a mask hides
             value.flags.writeable = False
     elif isinstance(value, Mapping):
         return ReadOnly({key: keep(item) for key, item in value.items()})

@@ -205,7 +205,7 @@ def select_basis(harmonics: int | Sequence[int], samples: int | None = None) -> 
         if not 0 <= harmonics <= HIGHEST:
             raise ModelError(f"harmonics = {harmonics}; give the highest one, from 0 to {HIGHEST}, or a list of them")
         orders = tuple(range(int(harmonics) + 1))
-    elif np.ndim(harmonics) != 1 or np.asarray(harmonics).dtype.kind not in "iuf":
+    elif np.ndim(harmonics) != 1 or np.asarray(harmonics).dtype.kind not in "iuf" or np.ma.is_masked(harmonics):
         raise ModelError(f"harmonics = {harmonics!r}; give the highest harmonic, a whole number, or a list of them")
     else:
         orders = tuple(sorted(harmonics))

@@ -109,4 +109,12 @@ def test_entries_that_a_mask_hides_are_refused():
             ReducedModel(**{**given, name: value})
     with pytest.raises(ModelError, match="friction has entries that its mask hides"):
         ContactLaws(friction=hidden([0.3]))
-    assert ReducedModel(**{**given, "mass": np.ma.masked_array([[1.0]], mask=[[False]])}).mass == 1.0
+    model = ReducedModel(**{**given, "mass": np.ma.masked_array([[1.0]], mask=[[False]])})
+    assert model.mass == 1.0
+    laws = ContactLaws("prescribed", friction=0.3, normal_force={0: np.ma.masked_array([5.0], mask=[False])})
+    assert type(laws.normal_force[0]) is np.ndarray
+    for name, value in {"wear": hidden([1e-6]), "closure": hidden([1e-9]), "harmonics": hidden([1])}.items():
+        with pytest.raises(ModelError, match=f"{name}.*mask"):
+            ContactProblem(model, laws, 0.1, **{name: value})
+    with pytest.raises(ModelError, match=r"normal_force.* has entries that its mask hides"):
+        ContactProblem(model, replace(laws, normal_force={0: hidden([5.0])}), 0.1)
