@@ -15,6 +15,7 @@ from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
 # moves where all sticks). Where no load oscillates, what still moves is rounding beside where all is.
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
+_ALIKE = 0.5  # difference between the ways that a body goes in two periods, over the way
 _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
 
@@ -32,6 +33,7 @@ class Watch:
 
     Attributes:
         second_change: Relative change of the last period since the one before the one before it.
+        ways: How far the modal coordinates have gone in each of the last two periods, ``(n',)``.
     """
 
     def __init__(self, scheme: TimeScheme):
@@ -43,6 +45,7 @@ class Watch:
         self.history = [np.zeros((0, len(self.names)))]
         self.earlier: list[RealArray] = []
         self.second_change = np.inf
+        self.ways: list[RealArray] = []
         self.reach = np.linalg.norm(self.readers, axis=1)  # modes have a unit of inertia each
         self.rests = not any(scheme.problem.driven)
         self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
@@ -70,6 +73,7 @@ class Watch:
             changes[k] = float(np.sqrt(change.max(initial=0.0)))
         self.earlier = [*self.earlier, motion][-2:]
         self.second_change = changes[1]
+        self.ways = [*self.ways, period.positions[-1] - period.positions[0]][-2:]
         return changes[0]
 
     @property
@@ -79,15 +83,23 @@ class Watch:
         return {name: values[:, i] for i, name in enumerate(self.names)}
 
 
-def walks_on(period: Period, scheme: TimeScheme) -> bool:
-    """Whether a period ends with the velocities that it began with, but elsewhere: a body moves on with each."""
+def walks_on(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> bool:
+    """Whether a period ends with the velocities that it began with, but elsewhere: a body moves on with each.
+
+    Only what no spring holds does: a body on springs that creeps to where they hold it comes to rest there. ``ways`` is
+    as in ``Watch``: a body that has moved in one period alone may have come to rest as well.
+    """
+    floats = scheme.contraction @ scheme.system.expansion @ scheme.system.model.rigid_modes
+    moved = np.array(ways) @ floats @ np.linalg.pinv(floats)
+    if not floats.size or len(moved) < 2:
+        return False
     weight = np.sqrt(np.maximum(scheme.mass, 0.0))
     speed = np.abs(weight * period.velocities).max(initial=0.0)
     changed = np.abs(weight * (period.velocities[-1] - period.velocities[0])).max(initial=0.0)
-    gone = np.abs(weight * (period.positions[-1] - period.positions[0])).max(initial=0.0)
+    gone, differs = (np.linalg.norm(weight * way) for way in (moved[-1], moved[-1] - moved[-2]))
     pushed = scheme.dt * np.abs(weight * scheme.velocity_of_load).max(initial=0.0)
     far = max(_GONE * speed * scheme.steps * scheme.dt, _ROUNDED * pushed)  # where all sticks, both are rounding
-    return bool(changed <= _SAME * speed and gone > far)
+    return bool(changed <= _SAME * speed and gone > far and differs <= _ALIKE * gone)
 
 
 class Anderson:

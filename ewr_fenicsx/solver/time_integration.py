@@ -335,7 +335,7 @@ def integrate(
             reason = f"not steady after {periods} periods" if tolerance else "not asked whether steady (tolerance = 0)"
             if follows and last.unsolved and changes[-1] <= tolerance:
                 reason = f"it repeats itself after {periods} periods"
-            elif walks_on(last, scheme):
+            elif walks_on(last, watch.ways, scheme):
                 reason += "; every period ends elsewhere with the velocities that it began with: a body walks"
             elif follows and tolerance and watch.second_change <= tolerance:
                 reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"

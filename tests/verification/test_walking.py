@@ -21,6 +21,7 @@ from ewr_fenicsx import (
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.in_time import walking
+from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.in_time.walking import NOTICED, Walk, measure_walk, walks
 from ewr_fenicsx.runs import findings
 
@@ -87,6 +88,24 @@ def test_a_body_that_walks_has_no_periodic_solution(name):
     assert str(caught.value).count("hangs on friction walks") == 1, "what went wrong is said once"
     steady = integrate(problem, steps=400, periods=30)
     assert not steady.converged and "a body walks" in steady.reason
+
+
+def test_a_body_on_springs_that_creeps_to_where_they_hold_it_does_not_walk():
+    """Shaken loose, it was called a walking one on its way, of which no motion is periodic."""
+    shaken = replace(sled({0: 2.0, 1: 60.0}, 100.0).model, stiffness=[[100.0]], rigid_modes=None)
+    problem = ContactProblem(shaken, ContactLaws("prescribed", normal_force=100.0, friction=0.3), 50.0, 5)
+    begun = integrate(problem, State(np.zeros(1), np.zeros(1)), steps=400, periods=60)
+    assert "walks" not in begun.reason and "falls steadily" in begun.reason
+    assert solve(problem).output("sled")[0] == pytest.approx(2.0 / 100.0, rel=1e-6)
+
+
+def test_a_body_that_comes_to_rest_where_it_is_pushed_to_does_not_walk():
+    """It has gone some way in its first period, and begins and ends that without velocity."""
+    free = ReducedModel([[1.0]], [[50.0]], [[0.0]], normal=[[-1.0]], load={0: [50.0]}, outputs={"x": [1.0]})
+    problem = ContactProblem(free, ContactLaws(tangential="frictionless", initial_gap=0.5), 1.0, 3)
+    moved = integrate(problem, State(np.zeros(1), np.zeros(1)), steps=400, periods=1, tolerance=0)
+    assert moved.transient("x")[-1] == pytest.approx(0.5, rel=1e-6), "at its stop"
+    assert "walks" not in moved.reason
 
 
 @pytest.mark.parametrize("name", HELD)
