@@ -215,10 +215,11 @@ def step_from(
     problem: ContactProblem, coordinates: ComplexArray, steps: int, theta: float
 ) -> Iterator[tuple[TimeScheme, Period]]:
     """The motion in time that begins on a solution, period by period, within bounds."""
-    from ewr_fenicsx.in_time.time_stepping import BOUND, State, TimeScheme  # only for those whose deviations grow
+    from ewr_fenicsx.in_time.lifting import lift_out  # both only for those whose deviations grow
+    from ewr_fenicsx.in_time.time_stepping import BOUND, State, TimeScheme
 
     scheme = TimeScheme(problem, steps, theta)
-    position, velocity, carried = scheme.begin(State.of(problem, coordinates))
+    position, velocity, carried = scheme.begin(lift_out(scheme, State.of(problem, coordinates)))
     while True:
         period = scheme.run_period(position, velocity, carried, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):

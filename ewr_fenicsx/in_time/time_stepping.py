@@ -97,6 +97,7 @@ class TimeScheme:
         theta: 1/2 conserves energy, up to 1 damps what the step does not resolve.
 
     Attributes:
+        contraction: ``(n', n)`` to modal coordinates, which have a unit of inertia in a step each.
         thetas: ``(n',)`` that of each mode: more for those without mass, or far too fast for the step.
         push: ``(n', m)`` what a unit of each impulse does to the velocities in its step.
         echo, echoes: ``(k, m)`` what it takes back in the next step, and from which ``k`` modes.
@@ -131,7 +132,7 @@ class TimeScheme:
                 "of stiffness; take more steps or a higher frequency"
             ) from None
         self.expansion = self.system.expansion @ modes
-        self._contraction = self.expansion.T @ (problem.model.mass + reach * problem.model.stiffness)
+        self.contraction = self.expansion.T @ (problem.model.mass + reach * problem.model.stiffness)
         self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
         self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
         self.thetas = np.where(self.mass > _TOO_FAST, self.theta, max(self.theta, _FOLLOWING))
@@ -219,7 +220,7 @@ class TimeScheme:
 
         The impulses of the step before are those under which the modes with a ``theta`` of their own are in balance.
         """
-        position, velocity = self._contraction @ state.position, self._contraction @ state.velocity
+        position, velocity = self.contraction @ state.position, self.contraction @ state.velocity
         load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
         force = self.stiffness * position + self.damping @ velocity - load
         fast = self.thetas != self.theta

@@ -11,6 +11,7 @@ import numpy as np
 
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.in_time.lifting import lift_out
 from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, walks_on
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
@@ -266,11 +267,12 @@ def integrate(
 
     Args:
         problem: The problem; its harmonics choose what ``output`` returns and do not limit the motion.
-        start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``); a ``State``, such as the ``end`` of
-            another result; ``"rest"``: the static state under the mean load, without velocity, in which all pairs are
-            closed, and without friction unless ``static_friction = "held"``; where there are gaps, or friction
-            is held, the static solution of the laws; None: that solution there, if it is found, else the full-stick
-            periodic state, whose mean is the same state.
+        start: A ``PeriodicSolution`` on the same model (its state at ``tau = 0``, bodies that overlap moved apart); a
+            ``State``, such as the ``end`` of another result (as it is: what overlaps and has a mass of its own flies
+            off at that way over the length of a step); ``"rest"``: the static state under the mean load, without
+            velocity, in which all pairs are closed, and without friction unless ``static_friction = "held"``; where
+            there are gaps, or friction is held, the static solution of the laws; None: that solution there, if it is
+            found, else the full-stick periodic state, whose mean is the same state.
         steps: Steps a period.
         periods: Most periods to step.
         tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the
@@ -306,7 +308,8 @@ def integrate(
     if not is_positive(contact_tolerance):
         raise ModelError(f"contact_tolerance = {contact_tolerance!r}; give a positive one, such as 1e-8")
     scheme = TimeScheme(problem, steps, theta)
-    position, velocity, carried = scheme.begin(choose_start(problem, start))
+    begun = choose_start(problem, start)
+    position, velocity, carried = scheme.begin(begun if isinstance(start, State) else lift_out(scheme, begun))
     here = np.concatenate([position, velocity])
     compile_loop()
     begin = time.perf_counter()
