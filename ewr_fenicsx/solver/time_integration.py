@@ -113,7 +113,7 @@ class SteadyState:
         Raises:
             ModelError: The model has no such output.
         """
-        return resample((self.last.positions[:-1] @ self._output_row(name))[:, None], 0.0, samples)[:, 0]
+        return resample_ends((self.last.positions @ self._output_row(name))[:, None], samples)[:, 0]
 
     def _output_row(self, name: str) -> RealArray:
         known = self.problem.model.outputs
@@ -125,7 +125,8 @@ class SteadyState:
         """A quantity of every pair over the last period, ``(samples, K_c)``, at equal intervals from ``tau = 0``.
 
         Forces are impulses over the length of the step, and belong to its middle (``theta``). Between those instants,
-        and between the steps' ends for motions, values are linear.
+        and between the steps' ends for motions, values are linear. Before the first middle and after the last one that
+        is between these two: in a transient, which does not repeat itself, the force at ``tau = 0`` means nothing.
 
         Args:
             name: ``"normal_force"``, ``"friction_force"`` [N]; ``"gap"`` (initial gap included), ``"slip"`` [m];
@@ -142,24 +143,24 @@ class SteadyState:
             raise ModelError(f'no history "{name}"; choose one of {", ".join(known)}{nearest(name, known)}')
         along = "second_tangential" if name.startswith(SECOND) else "tangential"
         name = name.removeprefix(SECOND)
-        zero = np.zeros((self.scheme.steps, model.pairs))
         if name in ("normal_force", "friction_force"):
+            zero = np.zeros((self.scheme.steps, model.pairs))
             force = self._pair_forces().get("normal" if name == "normal_force" else along, zero)
             return resample(force, self.scheme.theta, samples)
+        still = np.zeros((self.scheme.steps + 1, model.pairs))
         if name == "gap":
-            opening = zero if model.normal is None else self.last.positions[:-1] @ (model.normal @ expansion).T
-            return resample(opening + self.problem.clearance, 0.0, samples)
-        motion = self.last.positions[:-1] if name == "slip" else self._rates
-        slip = motion @ (model.rows(along) @ expansion).T if model.tangents else zero
-        return resample(slip, 0.0, samples)
+            opening = still if model.normal is None else self.last.positions @ (model.normal @ expansion).T
+            return resample_ends(opening + self.problem.clearance, samples)
+        motion = self.last.positions if name == "slip" else self._rates
+        return resample_ends(motion @ (model.rows(along) @ expansion).T if model.tangents else still, samples)
 
     def sliding_speed(self, samples: int | None = None) -> RealArray:
         """Speed of sliding at every pair over the last period, along both tangents in 3-D, ``(samples, K_c)`` [m/s]."""
         model, expansion = self.problem.model, self.scheme.expansion
-        speed = np.zeros((self.scheme.steps, model.pairs))
+        speed = np.zeros((self.scheme.steps + 1, model.pairs))
         for direction in model.tangent_directions:
             speed = np.hypot(speed, self._rates @ (model.rows(direction) @ expansion).T)
-        return resample(speed, 0.0, samples)
+        return resample_ends(speed, samples)
 
     def pressing_force(self, samples: int | None = None) -> RealArray:
         """Force that presses at every pair over the last period, ``(samples, K_c)`` [N]."""
@@ -167,9 +168,10 @@ class SteadyState:
 
     @property
     def _rates(self) -> RealArray:
-        """Modal velocities ``(steps, n')`` as friction sees them: what was late in the step before counts."""
-        v, scheme = self.last.velocities[:-1], self.scheme
-        return v + (scheme.thetas - scheme.theta) * (np.roll(v, 1, axis=0) - np.roll(v, 2, axis=0))
+        """Modal velocities ``(steps + 1, n')`` as friction sees them: what was late in the step before counts."""
+        v, scheme = self.last.velocities, self.scheme
+        before, earlier = (v[np.arange(-late, scheme.steps + 1 - late) % scheme.steps] for late in (1, 2))
+        return v + (scheme.thetas - scheme.theta) * (before - earlier)
 
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
@@ -235,8 +237,12 @@ class SteadyState:
         }
 
 
-def resample(values: RealArray, offset: float, samples: int | None) -> RealArray:
+def resample(values: RealArray, offset: float, samples: int | None, end: RealArray | None = None) -> RealArray:
     """Values, one a step at ``offset`` steps past its start, ``(steps, m)``, as ``samples`` from ``tau = 0``.
+
+    Args:
+        values, offset, samples: As said.
+        end: ``(m,)`` what follows on the last one; None: the first one, as in a period that repeats itself.
 
     Raises:
         ModelError: No whole number of samples.
@@ -244,10 +250,16 @@ def resample(values: RealArray, offset: float, samples: int | None) -> RealArray
     if not (samples is None or is_whole(samples, 1)):
         raise ModelError(f"samples = {samples!r}; give a whole number of samples a period, or None: one a step")
     steps = values.shape[0]
+    closed = np.vstack([values, values[0] if end is None else end])
     at = np.arange(steps if samples is None else samples) * (1.0 if samples is None else steps / samples) - offset
     before = np.floor(at).astype(int)
     share = (at - before)[:, None]
-    return (1 - share) * values[before % steps] + share * values[(before + 1) % steps]
+    return (1 - share) * closed[before % steps] + share * closed[before % steps + 1]
+
+
+def resample_ends(values: RealArray, samples: int | None) -> RealArray:
+    """Values at the ends of all steps, ``(steps + 1, m)`` with that at ``tau = 0``, as ``samples`` from there."""
+    return resample(values[:-1], 0.0, samples, values[-1])
 
 
 def integrate(

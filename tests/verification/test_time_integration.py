@@ -222,6 +222,15 @@ def test_motion_of_twice_the_period_is_not_called_steady():
     assert np.abs(x[-1] - x[-3]).max() < 1e-2 * np.abs(x[-1] - x[-2]).max()
 
 
+def test_motions_of_a_transient_go_on_to_the_end_of_its_last_step():
+    """Not back to where the period began: a body in flight, sampled between the ends of the last step."""
+    model = ReducedModel([[1.0]], [[0.0]], [[0.0]], normal=[[1.0]], load={1: [0.0]}, outputs={"x": [1.0]})
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=1.0), 1.0, 3)
+    flown = integrate(problem, State(np.zeros(1), np.ones(1)), steps=100, periods=1, tolerance=0)
+    assert flown.output_history("x", 128) == pytest.approx(np.arange(128) / 128)
+    assert flown.history("gap", 128)[:, 0] == pytest.approx(1.0 + np.arange(128) / 128)
+
+
 def test_without_a_tolerance_all_periods_are_stepped():
     """Also where nothing moves, and nothing changes at all: that is not called unsteady where nobody asked."""
     at_rest = ContactProblem(replace(stop_oscillator(), load={}), ContactLaws(tangential="frictionless"), 0.16)
