@@ -144,7 +144,9 @@ def unroll_ring(model: ReducedModel) -> ReducedModel:
     """All sectors of a ring as one ordinary model, sector by sector: coordinates, pairs, and loads that travel round.
 
     Outputs ``name`` become ``name_0``, ``name_1`` and so on. ``integrate`` steps it in time, and a ring whose sectors
-    differ (mistuning) starts here.
+    differ (mistuning) starts here. Laws stay as they are given: normal forces that are given and oscillate travel round
+    with the loads on ``model`` alone. Here each pair needs its own: those of sector ``j`` are the first one's times
+    ``ring.lag(j * ring.wave_of(h))`` at harmonic ``h``, with ``ring = model.cyclic``.
 
     Args:
         model: As ``close_ring`` returns it, ``n`` coordinates.
