@@ -194,10 +194,13 @@ class SteadyState:
         return found
 
     def _recover_bonds(self, found: dict[str, RealArray], held: list[tuple[str, np.ndarray]]) -> None:
-        """Forces in bonded pairs: what the equation of motion leaves over."""
+        """Forces in bonded pairs: what the equation of motion leaves over.
+
+        At the middle of steps (``theta``) for all modes, also those that are stepped with a ``theta`` of their own.
+        """
         model, scheme = self.problem.model, self.scheme
         expand = lambda modal: modal @ scheme.expansion.T  # noqa: E731
-        blend = lambda values: expand(scheme.blend(values[:-1], values[1:]))  # noqa: E731
+        blend = lambda ends: expand((1 - scheme.theta) * ends[:-1] + scheme.theta * ends[1:])  # noqa: E731
         x, v = self.last.positions, self.last.velocities
         gained = expand(np.diff(v, axis=0)) / scheme.dt
         left = gained @ model.mass.T + blend(v) @ model.damping.T + blend(x) @ model.stiffness.T

@@ -107,6 +107,17 @@ def test_bonds_carry_what_the_other_pairs_leave_over_in_time(partly_bonded):
     assert work["excitation"] == pytest.approx(spent, rel=1e-9) and work["viscous"] > 0.01 * work["excitation"]
 
 
+@pytest.mark.parametrize(("steps", "close"), [(100, 1.1e-3), (400, 7e-5)])
+def test_a_bond_behind_a_node_without_mass_is_stepped_in_phase(steps, close):
+    """Three quarters of the load by the springs: what such nodes' own ``theta`` is ahead of others is none of it."""
+    springs = [[200.0, 0.0, 0.0], [0.0, 4e4, -3e4], [0.0, -3e4, 3e4]]
+    loaded = {1: [0.0, 100.0, 0.0]}
+    model = ReducedModel(np.diag([1.0, 0.0, 0.0]), np.diag([1.0, 0.0, 0.0]), springs, [[0.0, 0.0, 1.0]], load=loaded)
+    problem = ContactProblem(model, ContactLaws("bonded", "frictionless"), 5.0, 1)
+    force = integrate(problem, "rest", steps=steps, periods=3, tolerance=0).history("normal_force")[:, 0]
+    assert force == pytest.approx(-75.0 * np.cos(2 * np.pi * np.arange(steps) / steps), abs=75.0 * close)
+
+
 def test_forces_in_bonds_of_bodies_in_space():
     """Two tangents a pair, both bonded: the bonds' forces, applied to the free structure, move it as the bonded one."""
     model = replace(random_structure(size=14, pairs=3, tangents=2), load={1: np.arange(14.0)})
