@@ -27,7 +27,10 @@ def lift_out(scheme: TimeScheme, state: State) -> State:
         return state
     size, depth = np.linalg.norm(rows, axis=1).max(), np.abs(gap).max()
     system, wanted = np.vstack([rows.T / size, -gap / depth]), np.append(np.zeros(position.size), 1.0)
-    left = wanted - system @ nnls(system, wanted)[0]
+    try:
+        left = wanted - system @ nnls(system, wanted)[0]
+    except RuntimeError:  # it changes its mind for ever
+        return state
     if left[-1] <= _ROUNDING:
         return state
     way = -left[:-1] / left[-1] * depth / size

@@ -30,6 +30,15 @@ def test_masses_pressed_on_stops_are_not_thrown_off_by_what_a_solution_overlaps(
     assert np.abs(moved.transient("first")[: steps // 8]).max() < 0.1 * overlap
 
 
+def test_where_no_way_apart_is_found_a_motion_begins_as_it_is(monkeypatch):
+    def give_up(*_):
+        raise RuntimeError("too many iterations")
+
+    monkeypatch.setattr("ewr_fenicsx.in_time.lifting.nnls", give_up)
+    given = State(np.array([-1e-3, 2e-4, -3e-3, 1e-3]), np.ones(4))
+    assert lift_out(TimeScheme(chain(8.9, 0.0), 400), given) is given
+
+
 def test_they_are_moved_as_little_as_will_do():
     """By the inertia of a step, against a general minimiser; what lies apart, or in no way can, is left as it is."""
     scheme = TimeScheme(chain(8.9, 0.0), 400)
