@@ -30,8 +30,8 @@ ORDER = {
     ],
     "balance": ["petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
     "in_time": [
-        "time_stepping", "periodicity", "followed_modes", "deviations", "hill", "floquet", "ring_growth", "stability",
-        "walking",
+        "time_stepping", "lifting", "periodicity", "followed_modes", "deviations", "hill", "floquet", "ring_growth",
+        "stability", "walking",
     ],
     "solution": [
         "loading_history", "indicators", "periodic_motion", "solution", "remedies", "contact_state", "symmetry",
