@@ -267,8 +267,9 @@ def measure_flexibility(
     if rows.shape[0] == 0:
         return mobility, mobility
     elastic = measure_at_rest(model, rows, wave)
-    own = rows / find_own_units(model.stiffness, model.mass)  # their stiffness is one, whatever the coordinates' units
-    rigid = elastic <= _ROUNDED * np.linalg.norm(own, axis=1) ** 2
+    units = find_own_units(model.stiffness, model.mass)  # whatever those of the coordinates
+    free = units**2 > 2 * np.abs(np.diag(model.stiffness))  # nothing bends there: their share is rounding, and squared
+    rigid = elastic <= np.abs(rows / units) ** 2 @ np.where(free, _ROUNDED**2, _ROUNDED)
     if np.any(rigid):
         inverse = scipy.linalg.pinvh(model.matrix("mass", wave))  # other coordinates may have no mass
         mobility[rigid] = np.einsum("mn,nm->m", rows[rigid], inverse @ rows[rigid].conj().T).real

@@ -422,3 +422,13 @@ def test_how_a_pair_yields_does_not_depend_on_the_units_of_coordinates(unit):
     system = ContactProblem(model, laws, 50.0, 9, closure="spring").system
     np.testing.assert_allclose(system.flexibility, own)
     assert system.closures == ("springs",)
+
+
+def test_how_a_pair_yields_does_not_depend_on_a_suspension_beside_it():
+    """A damper of a tenth of a gram on its pairs' springs, beside 1 kg at 1.6 Hz: it was taken for rigid by that."""
+    springs, own = np.full(2, 1e10), np.eye(4)
+    rows = np.column_stack([np.ones(2), -np.eye(2), np.zeros(2)])
+    stiffness, mass = np.diag([0.0, *springs, 100.0]), np.diag([1e-4, 0.0, 0.0, 1.0])
+    model = ReducedModel(mass, 0 * mass, stiffness, rows, load={0: -10 * own[0], 1: own[0]})
+    system = ContactProblem(model, ContactLaws(tangential="frictionless"), 100.0, 9).system
+    np.testing.assert_allclose(system.flexibility, 1 / springs)
