@@ -77,7 +77,8 @@ class ErrorEstimate:
         samples: By the samples at which the laws are evaluated, looked at by themselves.
         weight: What another weight of the friction law would change; it is truncation seen from another side.
         modes: By the modes left out of the reduced model.
-        sliding: Of ``J_T``, by harmonics and samples: a figure of its own, in no total. It converges more slowly.
+        sliding: Of ``J_T``, or of what presses as it slides where that is more, by harmonics and samples: a figure of
+            its own, in no total. It converges more slowly.
     """
 
     harmonics: float
@@ -236,10 +237,17 @@ def estimate_together(
 
 
 def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> float:
-    """Relative difference of the way that two solutions slide, over the longer one; 0 where both stick."""
-    there, here = (float(np.mean(s.sliding_speed(SLIDING_SAMPLES))) for s in (ahead, solution))
-    longer, rest = max(there, here), AT_REST * float(np.mean(solution.slip_reach))
-    return abs(there - here) / longer if longer > rest else 0.0
+    """Relative difference of the way that two solutions slide, over the longer one; 0 where both stick.
+
+    That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way.
+    """
+    speeds = [s.sliding_speed(SLIDING_SAMPLES) for s in (ahead, solution)]
+    rest = AT_REST * float(np.mean(solution.slip_reach))
+    if not max(float(np.mean(speed)) for speed in speeds) > rest:
+        return 0.0
+    rubbed = [s.pressing_force(SLIDING_SAMPLES) * v for s, v in zip((ahead, solution), speeds, strict=True)]
+    totals = [[float(np.mean(sizes)) for sizes in pair] for pair in (speeds, rubbed)]
+    return max(abs(there - here) / max(there, here) for there, here in totals if max(there, here) > 0)
 
 
 def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:

@@ -41,6 +41,20 @@ def test_the_estimated_error_of_the_sliding_tells_its_order():
     assert 0.5 < np.median(ratios) < 2.5
 
 
+def test_a_pair_that_is_open_throughout_does_not_hide_what_rubs():
+    """It slid thirty times as far, and a tenth of the error was told."""
+    alone = replace(pose_slipping()[2], harmonics=5)
+    model, each = alone.model, np.eye(4)
+    normal, tangential = np.vstack([model.normal, each[1]]), np.vstack([model.tangential, 5 * each[0]])
+    model = replace(model, normal=normal, tangential=tangential, pair_area=None)
+    beside = replace(alone, model=model, laws=ContactLaws(friction=0.5, initial_gap=[0.0, 1e3]))
+    coarse, by_itself = (solve(problem) for problem in (beside, alone))
+    assert coarse.merit["J_T"] > 15 * by_itself.merit["J_T"], "the mean over both"
+    assert coarse.merit["friction_dissipation"] == pytest.approx(by_itself.merit["friction_dissipation"], rel=1e-3)
+    expected = estimate_together(by_itself, 1e-9).sliding
+    assert expected > 0.1 and estimate_together(coarse, 1e-9).sliding == pytest.approx(expected, rel=0.1)
+
+
 def test_what_sticks_is_not_said_to_slide():
     problem = ContactProblem(dovetail(excitation=1.0), ContactLaws(friction=1.0), 900.0)
     assert estimate_together(solve(problem), 1e-9).sliding == 0.0
