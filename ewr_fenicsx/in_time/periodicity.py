@@ -109,7 +109,8 @@ class Anderson:
     and would drown the rest in an elastic norm.
 
     Attributes:
-        defect: Distance of the last period's end from its start, relative to the rms oscillation during it.
+        defect: Distance of the last period's end from its start, relative to the rms oscillation during it (where there
+            is next to none, to what a change is judged by then).
         distance: How far the last extrapolation reaches beyond that end, relative to the same: the distance left.
 
     Source: Walker & Ni (2011), doi:10.1137/10078356X.
@@ -118,6 +119,7 @@ class Anderson:
     def __init__(self, scheme: TimeScheme):
         root = np.sqrt(np.maximum(scheme.mass, 0.0))
         self._weight = np.concatenate([scheme.problem.omega * root, root])
+        self._pushed = np.linalg.norm(root * scheme.velocity_of_load) / np.sqrt(scheme.steps)
         self._ends: list[RealArray] = []
         self._residuals: list[RealArray] = []
         self.defect = self.distance = np.nan
@@ -131,7 +133,8 @@ class Anderson:
             change = np.diff(self._residuals, axis=0).T
             correction = -np.linalg.lstsq(change, self._residuals[-1], rcond=1e-10)[0] @ np.diff(self._ends, axis=0)
         states = np.hstack([period.positions, period.velocities]) * self._weight
-        oscillation = max(np.sqrt(states.var(axis=0).sum()), np.finfo(float).tiny)
+        swing, still = np.sqrt(states.var(axis=0).sum()), np.sqrt(np.mean(states**2, axis=0).sum())
+        oscillation = max(swing, _STILL * still, _ROUNDED * self._pushed, np.finfo(float).tiny)
         self.defect = float(np.linalg.norm(self._residuals[-1]) / oscillation)
         if len(self._ends) > 1:
             self.distance = float(np.linalg.norm(self._weight * correction) / oscillation)
