@@ -29,7 +29,9 @@ def count_missing(changes: Sequence[float], tolerance: float) -> int:
 
 
 class Watch:
-    """Follows outputs and pair motions from period to period; where there are none, the motion of all masses.
+    """Follows outputs, pair motions and masses from period to period.
+
+    Forces at pairs that neither slip nor open follow from how the masses move, of which no output need tell.
 
     Attributes:
         second_change: Relative change of the last period since the one before the one before it.
@@ -40,28 +42,32 @@ class Watch:
         self.names = list(scheme.problem.model.outputs)
         readers = [scheme.problem.model.outputs[name] @ scheme.expansion for name in self.names]
         self.readers = np.vstack([*readers, scheme.rows])
-        if not self.readers.size:  # bonds alone, and no output: their forces follow from the whole motion
-            self.readers = np.diag(np.sqrt(np.maximum(scheme.mass, 0.0)))
+        self.inertia = np.sqrt(np.maximum(scheme.mass, 0.0))
+        count, followed = len(self.names), len(self.readers)
+        self.groups = np.repeat([*range(count), count, count + 1], [*[1] * count, followed - count, self.inertia.size])
         self.history = [np.zeros((0, len(self.names)))]
         self.earlier: list[RealArray] = []
         self.second_change = np.inf
         self.ways: list[RealArray] = []
-        self.reach = np.linalg.norm(self.readers, axis=1)  # modes have a unit of inertia each
+        self.reach = np.append(np.linalg.norm(self.readers, axis=1), self.inertia)  # modes have a unit of inertia each
         self.rests = not any(scheme.problem.driven)
-        self.pushed = scheme.dt * np.abs(scheme.velocity_of_load) @ np.abs(self.readers.T)
+        self.pushed = self._sum_up(scheme.dt * np.abs(scheme.velocity_of_load))
+
+    def _sum_up(self, sizes: RealArray) -> RealArray:
+        """What is followed at most, of modal motions of these sizes."""
+        return np.hstack([sizes @ np.abs(self.readers.T), sizes * self.inertia])
 
     def measure_change(self, period: Period) -> float:
-        """Relative change since the period before, the largest of each output's and of the pair motions' together."""
-        motion = period.positions @ self.readers.T
+        """Relative change since the period before: the largest of each output's, all pairs' and all masses' motions."""
+        motion = np.hstack([period.positions @ self.readers.T, period.positions * self.inertia])
         self.history.append(motion[:, : len(self.names)])
-        groups = np.minimum(np.arange(motion.shape[1]), len(self.names))
-        total = lambda values: np.bincount(groups, weights=np.mean(values**2, axis=0))  # noqa: E731
-        modal, weight = period.positions, np.abs(self.readers.T)
+        total = lambda values: np.bincount(self.groups, weights=np.mean(values**2, axis=0))  # noqa: E731
+        modal = period.positions
         scale = total(motion - motion.mean(axis=0))
         for share, size in (
             (_STILL, total(motion)),
-            (_CANCELLED, total(np.abs(modal - modal.mean(axis=0)) @ weight)),
-            (_ROUNDED, total(np.abs(modal) @ weight)),
+            (_CANCELLED, total(self._sum_up(np.abs(modal - modal.mean(axis=0))))),
+            (_ROUNDED, total(self._sum_up(np.abs(modal)))),
             (_ROUNDED, total(np.sqrt(modal.var(axis=0).sum()) * self.reach[None])),
             (_ROUNDED * self.rests, total(np.sqrt(np.mean(modal**2, axis=0).sum()) * self.reach[None])),
             (_ROUNDED, total(self.pushed)),

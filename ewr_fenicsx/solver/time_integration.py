@@ -290,8 +290,8 @@ def integrate(
             found, else the full-stick periodic state, whose mean is the same state.
         steps: Steps a period.
         periods: Most periods to step.
-        tolerance: Largest relative change from one period to the next (rms over the period, of the outputs and of the
-            motion at the pairs) that counts as steady; 0 steps all the periods.
+        tolerance: Largest relative change from one period to the next (rms over the period, of each output, of the
+            motion at the pairs, and of all masses) that counts as steady; 0 steps all the periods.
         theta: Weight of a step's end in its mean: 1/2 conserves the structure's energy, more, up to 1, damps what the
             step does not resolve. With few steps a period and 1/2, contact feeds the ringing of nodes that have little
             mass: ``measure_energy`` then tells of a negative loss by impacts (blade root at 100 steps; 0.55 is enough).
