@@ -161,7 +161,7 @@ class _Newton:
         self.matrix.setUp()
         self.snes.setFunction(self.equations.evaluate, self.r)
         self.snes.setJacobian(self.equations.linearise, self.matrix)
-        self.halved = _HalvedNewton(self.equations)
+        self.halved = _HalvedNewton(self.equations, self.x)
         self.snes.setType(PETSc.SNES.Type.PYTHON)
         self.snes.setPythonContext(self.halved)
 
@@ -187,7 +187,7 @@ class _Newton:
 
     def close(self) -> None:
         """Destroys what PETSc holds: with PC or KSP left, the equations stay in memory, with all their factors."""
-        for item in (self.pc, self.ksp, self.snes, self.matrix, self.x, self.r):
+        for item in (self.pc, self.ksp, self.snes, self.matrix, self.x, self.r, *self.halved.vectors):
             item.destroy()
 
 
@@ -207,8 +207,9 @@ class _HalvedNewton:
     chosen with ``-ewr_snes_type`` takes this one's place.
     """
 
-    def __init__(self, equations: _Equations):
+    def __init__(self, equations: _Equations, like: PETSc.Vec):
         self.equations = equations
+        self.vectors = tuple(like.duplicate() for _ in range(3))  # PETSc keeps those that nobody destroys to its end
         self.factored = 0  # unknowns of the factors at hand
         self.single = True  # whether factors in single precision do
 
@@ -217,7 +218,7 @@ class _HalvedNewton:
         f = snes.getFunction()[0]
         J, P = snes.getJacobian()[:2]
         ksp = snes.getKSP()
-        step, trial, residual = x.duplicate(), x.duplicate(), f.duplicate()
+        step, trial, residual = self.vectors
         _, tolerance, _, limit = snes.getTolerances()
         snes.computeFunction(x, f)
         norm = f.norm()

@@ -388,3 +388,13 @@ def test_nothing_of_a_solve_stays_in_memory(linear_solver):
 
 def count_equations() -> int:
     return sum(isinstance(thing, snes._Equations) for thing in gc.get_objects())
+
+
+def test_petsc_keeps_nothing_of_a_solve(capfd):
+    """What Python merely lets go of, PETSc keeps until it ends: three vectors a run of Newton's method, for ever."""
+    PETSc.garbage_cleanup(PETSc.COMM_SELF)
+    PETSc.garbage_view(PETSc.COMM_SELF)
+    before = capfd.readouterr().out
+    solve(PROBLEMS["floating, slip"])
+    PETSc.garbage_view(PETSc.COMM_SELF)
+    assert capfd.readouterr().out == before
