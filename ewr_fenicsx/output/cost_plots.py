@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ewr_fenicsx.accuracy.cost import find_front, fit_slope
-from ewr_fenicsx.output.plots import save_picture
+from ewr_fenicsx.output.plots import in_own_style, save_picture
 
 ROOM = np.array([0.03, 0.025])  # of a label, in parts of the axes
 MARKS = "osD^vP*Xh<>p"
 COLOURS = ("#1d6fb8", "#c1121f", "#2a9d57", "#e08e0b", "#7b3fa0", "#444444", "#00838f", "#b5539c", "#8d6e2f", "#5577aa")
 
 
+@in_own_style
 def draw_work_precision(
     path: Path,
     rows: Sequence[Mapping],

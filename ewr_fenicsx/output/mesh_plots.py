@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output.gathering import Cells, gather_boundary, gather_cells
-from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, INK, save_picture
+from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, INK, in_own_style, save_picture
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.interface import Interface
@@ -35,6 +35,7 @@ MESH_LINES, AT_REST, SIZES = "#8a97a5", "#999999", "YlGnBu"  # the last is the c
 BODY_COLOURS = ("#dbe7f3", "#f3e6d3", "#e0eedd", "#eee0ee")
 
 
+@in_own_style
 def draw_mesh(path: Path, chain: Chain) -> None:
     """Mesh, clamp, loads and, enlarged, the joint's pairs; collective."""
     cells, edge = gather_cells(chain), gather_edges(chain)
@@ -97,6 +98,7 @@ def _lay_panels(cells: Cells, interface: Interface) -> tuple[Figure, Axes, Axes]
     return figure, whole, joint
 
 
+@in_own_style
 def draw_motion(path: Path, cells: Cells | None, title: str) -> None:
     """A displaced shape, as ``gather_mode`` has it, over the undeformed outline; ranks without cells draw nothing."""
     if cells is None:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.style import context
 from matplotlib.text import Text
 
 from ewr_fenicsx.given import RealArray
@@ -46,6 +47,9 @@ EXACT = "exact set"
 PRESSING, RUBBING = "normal force [N]", "friction force / (µ normal force)"
 MISSING = {PRESSING: "another law here", RUBBING: "no Coulomb limit here"}
 
+# Around what draws: a user's matplotlibrc must not change pictures, or end a run at its last stage for want of LaTeX.
+in_own_style = context("default")
+
 
 def save_picture(figure: Figure, path: Path, **settings: object) -> None:
     """Writes a figure that has not been drawn before; a dollar in a title or a name is one, and begins no formula.
@@ -62,6 +66,7 @@ def save_picture(figure: Figure, path: Path, **settings: object) -> None:
     figure.savefig(path, **settings)
 
 
+@in_own_style
 def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
     """Forces and motions over the period, a column for each flank, of the pairs whose laws know of them.
 
@@ -107,6 +112,7 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
     save_picture(figure, path, dpi=DPI)
 
 
+@in_own_style
 def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSolution) -> None:
     """Where pairs stand with respect to the exact sets of Signorini (above) and Coulomb (below), flank by flank.
 
@@ -166,6 +172,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     save_picture(figure, path, dpi=DPI)
 
 
+@in_own_style
 def draw_curves(
     path: Path,
     across: str,

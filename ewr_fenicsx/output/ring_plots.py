@@ -16,7 +16,7 @@ from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.restriction import solve_stuck
 from ewr_fenicsx.output.gathering import Cells, gather_cells
 from ewr_fenicsx.output.mesh_plots import stretch
-from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, HEADROOM, INK, save_picture
+from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, HEADROOM, INK, in_own_style, save_picture
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.mesh import rotate_by_sector
@@ -83,6 +83,7 @@ def write_diameters(path: Path, waves: Mapping[int, RealArray]) -> None:
     write_table(path, {"nodal_diameters": np.array([*waves])} | columns)
 
 
+@in_own_style
 def draw_diameters(
     path: Path, waves: Mapping[int, RealArray], model: ReducedModel, frequencies: Sequence[float]
 ) -> None:

@@ -37,7 +37,7 @@ from ewr_fenicsx.output.mesh_plots import (
     place_arrows,
     place_legend,
 )
-from ewr_fenicsx.output.plots import DPI, INK, save_picture
+from ewr_fenicsx.output.plots import DPI, INK, in_own_style, save_picture
 from ewr_fenicsx.structure.chain import Chain
 
 ABOVE, ASIDE = 36.0, 26.0  # where the eye is, from the z direction upwards and towards x [degrees]
@@ -50,6 +50,7 @@ LETTERS = 10  # of a title, an inch: wide ones take as much
 TICKS = 7  # about as many numbers along the longest edge of a box
 
 
+@in_own_style
 def draw_mesh(path: Path, chain: Chain) -> None:
     """Mesh, clamp, loads and, enlarged, the joint's pairs on faces of body A, or all if sectors touch; collective."""
     cells, edge = gather_cells(chain), gather_edges(chain)
@@ -81,6 +82,7 @@ def draw_mesh(path: Path, chain: Chain) -> None:
     save_picture(figure, path, dpi=DPI)
 
 
+@in_own_style
 def draw_motion(path: Path, cells: Cells | None, title: str) -> None:
     """A displaced shape, as ``gather_mode`` has it, over the undeformed outline; ranks without cells draw nothing."""
     if cells is None:

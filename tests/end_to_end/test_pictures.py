@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
@@ -331,6 +332,12 @@ def test_a_flat_curve_does_not_lie_on_the_frame(monkeypatch, tmp_path, height):
     plots.draw_curves(tmp_path / "curves.png", "cycles", np.array([0.0, 1.0]), {"rms [mm]": np.full(2, height)})
     low, high = figures[0].axes[0].get_ylim()
     assert low == 0.0 and high > 1.04 * height and high > 0
+
+
+def test_no_matplotlibrc_changes_a_picture(tmp_path):
+    for name, theirs in {"usual.png": {}, "theirs.png": {"text.usetex": True}}.items():  # which takes LaTeX
+        rc_context(theirs)(plots.draw_curves)(tmp_path / name, "share [%]", np.arange(2.0), {"rms": np.arange(2.0)})
+    assert (tmp_path / "usual.png").read_bytes() == (tmp_path / "theirs.png").read_bytes()
 
 
 def test_curves_that_coincide_are_one_under_both_names(monkeypatch, tmp_path):
