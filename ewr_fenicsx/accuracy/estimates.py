@@ -241,13 +241,13 @@ def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> floa
 
     That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way.
     """
-    speeds = [s.sliding_speed(SLIDING_SAMPLES) for s in (ahead, solution)]
-    rest = AT_REST * float(np.mean(solution.slip_reach))
-    if not max(float(np.mean(speed)) for speed in speeds) > rest:
+    slid, rubbed = [], []
+    for force, speed in (each.press_and_slide(SLIDING_SAMPLES) for each in (ahead, solution)):
+        slid.append(float(np.mean(speed)))
+        rubbed.append(float(np.mean(force * speed)))
+    if not max(slid) > AT_REST * float(np.mean(solution.slip_reach)):
         return 0.0
-    rubbed = [s.pressing_force(SLIDING_SAMPLES) * v for s, v in zip((ahead, solution), speeds, strict=True)]
-    totals = [[float(np.mean(sizes)) for sizes in pair] for pair in (speeds, rubbed)]
-    return max(abs(there - here) / max(there, here) for there, here in totals if max(there, here) > 0)
+    return max(abs(there - here) / max(there, here) for there, here in (slid, rubbed) if max(there, here) > 0)
 
 
 def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:

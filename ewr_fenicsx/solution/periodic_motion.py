@@ -163,21 +163,7 @@ class PeriodicMotion:
         Raises:
             ModelError: No whole number of samples.
         """
-        samples = read_samples(samples)
-        stride = self._find_stride(samples)
-        basis = FourierBasis(self.orders, stride * samples)
-        velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
-        slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
-        for pairs, laws in self.problem.groups:
-            slips[:, pairs] = any(kind.slides for kind in laws.kinds)
-        for law, fields in self.law_fields(basis):
-            for name in {"slipping", "open"} & fields.keys():
-                slips[:, law.pairs] |= np.asarray(fields[name], dtype=bool)
-            if "surface_slip" in fields:
-                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
-                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
-        speed = slips * np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
-        return np.where(speed.max(axis=0) > ROUNDED * self.slip_reach, speed, 0.0)[::stride]
+        return self._slide(*self._look_at_laws(samples))
 
     def pressing_force(self, samples: int = 1024) -> RealArray:
         """Force that presses, and wears what slides, at every pair over one period, ``(samples, K_c)`` [N].
@@ -188,11 +174,40 @@ class PeriodicMotion:
         Raises:
             ModelError: No whole number of samples.
         """
-        force = np.maximum(0.0, self.history("normal_force", samples))
-        for law, fields in self.law_fields(FourierBasis(self.orders, len(force))):
+        return self._press(*self._look_at_laws(samples))
+
+    def press_and_slide(self, samples: int = 1024) -> tuple[RealArray, RealArray]:
+        """``pressing_force`` and ``sliding_speed``, with one look at the laws for both."""
+        seen = self._look_at_laws(samples)
+        return self._press(*seen), self._slide(*seen)
+
+    def _look_at_laws(self, samples: int) -> tuple[int, FourierBasis, list[tuple]]:
+        """Every which sample of a basis counts, that basis, and what each law reports there, as ``law_fields``."""
+        samples = read_samples(samples)
+        stride = self._find_stride(samples)
+        basis = FourierBasis(self.orders, stride * samples)
+        return stride, basis, self.law_fields(basis)
+
+    def _press(self, stride: int, basis: FourierBasis, reported: list[tuple]) -> RealArray:
+        force = np.maximum(0.0, self.history("normal_force", basis.samples // stride))
+        for law, fields in reported:
             if "admissible_normal_force" in fields:
-                force[:, law.pairs] = fields["admissible_normal_force"]
+                force[:, law.pairs] = fields["admissible_normal_force"][::stride]
         return force
+
+    def _slide(self, stride: int, basis: FourierBasis, reported: list[tuple]) -> RealArray:
+        velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
+        slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
+        for pairs, laws in self.problem.groups:
+            slips[:, pairs] = any(kind.slides for kind in laws.kinds)
+        for law, fields in reported:
+            for name in {"slipping", "open"} & fields.keys():
+                slips[:, law.pairs] |= np.asarray(fields[name], dtype=bool)
+            if "surface_slip" in fields:
+                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
+                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
+        speed = slips * np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
+        return np.where(speed.max(axis=0) > ROUNDED * self.slip_reach, speed, 0.0)[::stride]
 
     @cached_property
     def slip_reach(self) -> RealArray:

@@ -27,8 +27,8 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
         coefficient: ``(K_c,)`` wear coefficients ``k_w`` [1/Pa].
     """
     period = 1 / solution.problem.frequency
-    pressure = solution.pressing_force(SAMPLES) / solution.problem.model.areas
-    return coefficient * period * np.mean(pressure * solution.sliding_speed(SAMPLES), axis=0)
+    force, speed = solution.press_and_slide(SAMPLES)
+    return coefficient * period * np.mean(force / solution.problem.model.areas * speed, axis=0)
 
 
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:
