@@ -43,6 +43,12 @@ def approach(far) -> Attempt:
     return weights.approach_weights(*far, 1e-8, "elimination")
 
 
+def lead_nowhere(monkeypatch) -> None:
+    """One stage, whose splitting ends away from any solution; by itself this one arrives or not by chance."""
+    monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
+    monkeypatch.setattr(weights, "split_at_length", lambda *_: Attempt(np.zeros(0), np.inf, 0, "", False))
+
+
 def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkeypatch):
     """To a solution of the asked balance; in one stage a walk has to follow, which takes several times the steps."""
     walks, walk = [], weights.walk_weights
@@ -50,7 +56,7 @@ def test_stages_lead_where_one_splitting_does_not(far, indirect, no_path, monkey
     staged = approach(far)
     assert staged.converged and not walks
     assert np.linalg.norm(far[0].residual(staged.unknowns)) <= 1e-8
-    monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
+    lead_nowhere(monkeypatch)
     at_once = approach(far)
     assert walks and at_once.converged and at_once.iterations > 2 * staged.iterations
 
@@ -114,7 +120,7 @@ def test_weights_far_off_begin_with_the_default_ones(factor, at_once, monkeypatc
 
 
 def test_a_walk_that_takes_long_is_given_up(far, indirect, no_path, monkeypatch):
-    monkeypatch.setattr(weights, "STAGES", weights.STAGES[-1:])
+    lead_nowhere(monkeypatch)
     monkeypatch.setattr(weights, "WALK_STEPS", 5)
     found = approach(far)
     assert not found.converged and "the branch was lost or too long" in found.reason
