@@ -27,7 +27,7 @@ def measure_volumes(cycles: int, pairs=PAIRS) -> list[dict]:
         problem = ContactProblem(blade_root(count), ContactLaws(friction=FRICTION), FREQUENCY)
         history, seconds = clock(lambda: evolve_wear(problem, cycles, COEFFICIENT, Tolerance(share=0.005)))  # noqa: B023
         first = history.solutions[0]
-        pressed, slid = first.pressing_force(4096), first.sliding_speed(4096)
+        pressed, slid = first.press_and_slide(4096)
         integral = COEFFICIENT / FREQUENCY * float(np.mean(pressed * slid, axis=0).sum())
         rows.append(
             {

@@ -146,16 +146,35 @@ def read_response(
 
     Where these stick they do not move: their forces, as what they would move each row by itself, count as well.
     """
-    compliance, known = problem.system.compliance, problem.basis.orders
-    if problem.model.outputs:
-        amplitudes = np.column_stack([compliance.output(name, forces, rigid) for name in problem.model.outputs])
+    compliance = problem.system.compliance
+    return arrange_response(
+        problem,
+        [compliance.output(name, forces, rigid) for name in problem.model.outputs],
+        lambda: (forces, compliance.motion(forces, rigid)),
+        orders,
+    )
+
+
+def arrange_response(
+    problem: ContactProblem,
+    outputs: Sequence[ComplexArray],
+    read_contact: Callable[[], tuple[ComplexArray, ComplexArray]],
+    orders: Sequence[int],
+) -> ComplexArray:
+    """What ``read_response`` returns, of amplitudes at the problem's own harmonics.
+
+    ``read_contact`` is asked for forces and motions of the contact rows where there are no outputs.
+    """
+    if outputs:
+        amplitudes = np.column_stack(outputs)
     else:
-        amplitudes = np.hstack([compliance.motion(forces, rigid), problem.system.flexibility * forces])
-    response = np.zeros((len(orders), amplitudes.shape[1]), dtype=complex)
+        forces, motion = read_contact()
+        amplitudes = np.hstack([motion, problem.system.flexibility * forces])
+    known, response = problem.basis.orders, np.zeros((len(orders), amplitudes.shape[1]), dtype=complex)
     for j, h in enumerate(orders):
         if h and h in known:
             response[j] = amplitudes[known.index(h)]
-    return response if problem.model.outputs else response.reshape(-1, 1)
+    return response if outputs else response.reshape(-1, 1)
 
 
 def bound_response(solution: PeriodicSolution) -> RealArray:

@@ -8,7 +8,7 @@ facet.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,15 +84,13 @@ def inspect_model(source: Path) -> Inspection:
             worst = int(np.argmin(jacobians))
             quality = min(quality, float(jacobians[worst]))
             if quality <= 0:
-                middle = coordinates[nodes[worst, :corners]].mean(axis=0)[:dimension]
-                place = ", ".join(f"{value:.6g}" for value in middle)
+                place = _name_middle(coordinates[nodes[worst, :corners], :dimension])
                 raise MeshError(
                     f'{source}: body "{body}" has a {shape} with a scaled Jacobian of {quality:.3g} at '
                     f"({place}); expected more than 0: it is inverted, concave or flat"
                 )
             if order > corners and (folded := find_folded(kind, coordinates[nodes, :dimension])).any():
-                middle = coordinates[nodes[np.argmax(folded), :corners]].mean(axis=0)[:dimension]
-                place = ", ".join(f"{value:.6g}" for value in middle)
+                place = _name_middle(coordinates[nodes[np.argmax(folded), :corners], :dimension])
                 raise MeshError(
                     f'{source}: body "{body}" has a {shape} that its curved sides turn inside out, at ({place}); take '
                     "more cells along the curve there, or thicker ones beside it"
@@ -190,12 +188,16 @@ def _check_cells_differ(source: Path, kind: int, order: int, corners: int) -> No
     nodes = gmsh.model.mesh.getElementsByType(kind)[1].reshape(-1, order)[:, :corners]
     cells, count = np.unique(np.sort(nodes, axis=1), axis=0, return_counts=True)
     if len(cells) < len(nodes):
-        places = [gmsh.model.mesh.getNode(int(node))[0] for node in cells[np.argmax(count > 1)]]
-        place = ", ".join(f"{value:.6g}" for value in np.mean(places, axis=0))
+        place = _name_middle([gmsh.model.mesh.getNode(int(node))[0] for node in cells[np.argmax(count > 1)]])
         raise MeshError(
             f"{source}: {len(nodes) - len(cells)} of {len(nodes)} cells have the corners of others, as at ({place}); "
             "is a body drawn twice, or in two groups?"
         )
+
+
+def _name_middle(corners: Sequence[np.ndarray]) -> str:
+    """The middle of a cell's corners, for people."""
+    return ", ".join(f"{value:.6g}" for value in np.mean(corners, axis=0))
 
 
 def _check_facets(source: Path, dimension: int, boundaries: Mapping[str, int], cell_kind: int) -> None:

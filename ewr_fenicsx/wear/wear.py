@@ -107,9 +107,8 @@ class WearHistory:
     @property
     def _passes_by(self) -> bool:
         """Whether in the end pairs that may wear are pressed now, and slide then."""
-        last = self.solutions[-1]
-        passes = last.pressing_force().any(axis=0) & last.sliding_speed().any(axis=0)
-        return bool(np.any(passes & (self.coefficient > 0)))
+        pressed, slides = (values.any(axis=0) for values in self.solutions[-1].press_and_slide())
+        return bool(np.any(pressed & slides & (self.coefficient > 0)))
 
     @cached_property
     def cycles(self) -> np.ndarray:
