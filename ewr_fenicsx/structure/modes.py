@@ -105,9 +105,12 @@ def _find_nearest(solver: SLEPc.EPS, count: int, shift: float, known: Sequence[P
     """Vectors of the modes nearest to a shift, by rising eigenvalue.
 
     Of modes that share a frequency, as of parts that are alike, Krylov's method sees one, and the others by rounding
-    alone, at times after modes further off. So it looks again beside those found, until nothing nearer turns up.
+    alone, at times after modes further off. So those found are counted; where some are missing, it looks again beside
+    those found, until nothing nearer turns up.
     """
-    size = solver.getOperators()[0].getSize()[0] - len(known)
+    stiffness, mass = solver.getOperators()
+    size = stiffness.getSize()[0] - len(known)
+    of_known = [vector.dot(stiffness * vector) / vector.dot(mass * vector) for vector in known]
     values, vectors, asked, farthest = np.zeros(0), [], count, np.inf
     while True:
         left = size - len(vectors)
@@ -117,13 +120,41 @@ def _find_nearest(solver: SLEPc.EPS, count: int, shift: float, known: Sequence[P
             break
         looked_again = bool(vectors)
         values, vectors = np.append(values, further), vectors + others
-        nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
-        values, vectors = values[nearest], [vectors[k] for k in nearest]
-        farthest = np.abs(values - shift).max()
-        if columns == left:  # every mode
+        distance = np.sort(np.abs(values - shift))
+        farthest = distance[count - 1]
+        within = max(distance[count - 1 : count + 1].mean(), (1 + _EQUAL) * farthest)  # midway to the next one
+        there = np.sum(np.abs(np.append(values, of_known) - shift) < within)
+        if columns == left or there == _count_modes(stiffness, mass, shift, within):
             break
-        asked = min(2 * asked, (size - count) // 2) if looked_again else 1
-    return [vectors[k] for k in np.argsort(values, kind="stable")]
+        asked = max(1, min(2 * asked, (left - len(others)) // 2)) if looked_again else 1
+    nearest = np.argsort(np.abs(values - shift), kind="stable")[:count]
+    return [vectors[k] for k in nearest[np.argsort(values[nearest], kind="stable")]]
+
+
+def _count_modes(stiffness: PETSc.Mat, mass: PETSc.Mat, shift: float, within: float) -> int:
+    """Number of modes with eigenvalues within a distance of a shift.
+
+    By Sylvester's law of inertia as many are below ``mu`` as ``K - mu M`` has negative pivots.
+    """
+    ends = [shift - within, shift + within] if shift > 0 else [shift + within]  # none is below zero
+    below = []
+    for end in ends:
+        shifted = stiffness.copy()
+        shifted.axpy(-end, mass)
+        shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        solver = PETSc.PC().create(stiffness.comm)
+        solver.setOperators(shifted)
+        solver.setType(PETSc.PC.Type.CHOLESKY)
+        solver.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
+        solver.setFactorSetUpSolverType()
+        for option in (13, 24):  # on ranks count all pivots, and those that are zero
+            solver.getFactorMatrix().setMumpsIcntl(option, 1)
+        with finding_memory(stiffness.getSize()[0]):
+            solver.setUp()
+        below.append(solver.getFactorMatrix().getInertia()[0])
+        solver.destroy()
+        shifted.destroy()
+    return below[-1] - sum(below[:-1])
 
 
 def _search(

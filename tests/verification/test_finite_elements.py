@@ -13,11 +13,13 @@ import scipy.linalg
 import scipy.optimize
 import scipy.sparse
 import scipy.sparse.linalg
+from counted_calls import count_calls
 from mpi4py import MPI
 from petsc4py import PETSc
 from sparse_matrices import to_scipy
 
 from ewr_fenicsx.errors import ModesError
+from ewr_fenicsx.structure import modes as search_of_modes
 from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble_structure
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, Material, RayleighRatios
@@ -133,6 +135,20 @@ def test_modes_of_parts_that_are_alike_are_all_found(strings, count):
     np.testing.assert_allclose(modes.frequency, exact[:count], rtol=1e-9)
     others = solve_modes(*matrices, count, known=modes.vectors)
     np.testing.assert_allclose(others.frequency, exact[count : 2 * count], rtol=1e-9)
+
+
+def test_modes_that_are_all_there_are_not_looked_for_again(monkeypatch):
+    """They are counted; also besides modes that are known, and around a shift."""
+    searches = count_calls(monkeypatch, search_of_modes, "_search")
+    matrices = hold_clamp(assemble(TWO_BLOCKS, {"welded": True, "width": 0.1}))
+    lowest = solve_modes(*matrices, 12)
+    others = solve_modes(*matrices, 8, known=lowest.vectors[:4])
+    np.testing.assert_allclose(others.frequency, lowest.frequency[4:], rtol=1e-9)
+    shift = (2 * pi) ** 2 * np.mean(lowest.frequency[4:6] ** 2)
+    around = solve_modes(*matrices, 3, shift=shift)
+    nearest = np.argsort(np.abs(lowest.frequency**2 - shift / (2 * pi) ** 2))[:3]
+    np.testing.assert_allclose(around.frequency, lowest.frequency[np.sort(nearest)], rtol=1e-9)
+    assert len(searches) == 3
 
 
 @pytest.mark.parametrize("degree", [1, 2])
