@@ -13,7 +13,7 @@ from statistics import median
 
 import numpy as np
 
-from ewr_fenicsx.accuracy.estimates import arrange_response
+from ewr_fenicsx.accuracy.estimates import read_response
 from ewr_fenicsx.accuracy.looking_ahead import choose_samples
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
@@ -57,7 +57,6 @@ class Figures:
 def measure_figures(motion: PeriodicSolution) -> Figures:
     """Figures of a periodic solution, or of a steady state of ``integrate``: both tell the same histories."""
     problem, area = motion.problem, motion.problem.model.areas
-    outputs = [motion.output(name) for name in problem.model.outputs]
     force, gap = (motion.history(name, SAMPLES) for name in ("normal_force", "gap"))
     friction, slip = (sample_along_tangents(motion, name, SAMPLES) for name in ("friction_force", "slip"))
     speed = motion.sliding_speed(SAMPLES)
@@ -65,7 +64,7 @@ def measure_figures(motion: PeriodicSolution) -> Figures:
     largest_slip = np.linalg.norm(np.ptp(slip, axis=1), axis=0).max(initial=0.0)
     opening = max(gap[:, problem.opens].max(initial=0.0), largest_slip) or 1.0
     return Figures(
-        output=arrange_response(problem, outputs, lambda: motion.contact_amplitudes, range(1, HIGHEST + 1)),
+        output=read_response(motion, range(1, HIGHEST + 1)),
         sliding=measure_sliding(speed, period),
         normal_force=force,
         wear=period * (pressing / area * speed).mean(axis=0),

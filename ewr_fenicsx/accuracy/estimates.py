@@ -139,37 +139,21 @@ def compare_responses(here: ComplexArray, there: ComplexArray, rest: RealArray |
     return float((distance[moves] / np.maximum(size[moves], np.finfo(float).tiny)).max(initial=0.0))
 
 
-def read_response(
-    problem: ContactProblem, forces: ComplexArray, rigid: RealArray, orders: Sequence[int]
-) -> ComplexArray:
+def read_response(motion: PeriodicSolution, orders: Sequence[int]) -> ComplexArray:
     """Oscillation of the outputs, ``(n_h, p)`` at ``orders`` above 0; without outputs, of all contact rows as one.
 
     Where these stick they do not move: their forces, as what they would move each row by itself, count as well.
+
+    Args:
+        motion: A periodic solution, or a steady state of ``integrate``.
+        orders: Harmonics; those that it lacks are zero.
     """
-    compliance = problem.system.compliance
-    return arrange_response(
-        problem,
-        [compliance.output(name, forces, rigid) for name in problem.model.outputs],
-        lambda: (forces, compliance.motion(forces, rigid)),
-        orders,
-    )
-
-
-def arrange_response(
-    problem: ContactProblem,
-    outputs: Sequence[ComplexArray],
-    read_contact: Callable[[], tuple[ComplexArray, ComplexArray]],
-    orders: Sequence[int],
-) -> ComplexArray:
-    """What ``read_response`` returns, of amplitudes at the problem's own harmonics.
-
-    ``read_contact`` is asked for forces and motions of the contact rows where there are no outputs.
-    """
+    problem, outputs = motion.problem, [motion.output(name) for name in motion.problem.model.outputs]
     if outputs:
         amplitudes = np.column_stack(outputs)
     else:
-        forces, motion = read_contact()
-        amplitudes = np.hstack([motion, problem.system.flexibility * forces])
+        forces, moved = motion.contact_amplitudes
+        amplitudes = np.hstack([moved, problem.system.flexibility * forces])
     known, response = problem.basis.orders, np.zeros((len(orders), amplitudes.shape[1]), dtype=complex)
     for j, h in enumerate(orders):
         if h and h in known:
@@ -198,7 +182,7 @@ def measure_distance(solution: PeriodicSolution, other: PeriodicSolution, figure
         ModelError: ``figure`` gives no finite numbers, or not as many for both.
     """
     orders = sorted({*solution.orders, *other.orders})
-    here, there = (read_response(s.problem, s.forces, s.rigid, orders) for s in (solution, other))
+    here, there = (read_response(s, orders) for s in (solution, other))
     distance = compare_responses(here, there, AT_REST * bound_response(other))
     if figure is None:
         return distance

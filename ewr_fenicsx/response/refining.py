@@ -199,7 +199,7 @@ def join_points(
 def measure_gap(a: PeriodicSolution, b: PeriodicSolution) -> float:
     """Distance of the outputs' oscillations at two frequencies over the larger one."""
     orders = sorted({*a.orders, *b.orders})
-    return compare_states(*(read_response(s.problem, s.forces, s.rigid, orders) for s in (a, b)))
+    return compare_states(*(read_response(s, orders) for s in (a, b)))
 
 
 def lie_on_one_branch(a: AccurateSolution, b: AccurateSolution, tolerance: float) -> bool:
