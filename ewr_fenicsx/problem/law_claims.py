@@ -16,57 +16,27 @@ def check_claims(law: Law) -> None:
     """Refuses a law that cannot be what it says.
 
     Raises:
-        ModelError: Weights of another shape, a projection of nothing, or corners that it does not tell.
+        ModelError: Weights of its mean equation that are neither one number nor one a pair; a projection of no such
+            motion, without ``admit``, or with an ``impedance`` that is not one a pair; corners that it does not tell.
     """
-    check_row_weights(law)
-    check_projection(law)
-    check_corners(law)
-
-
-def check_row_weights(law: Law) -> None:
-    """Refuses weights of a law's mean equation that are neither one number nor one a pair.
-
-    Raises:
-        ModelError: A weight has another shape.
-    """
-    for name in ("static_row", "static_force_row", "static_displacement_row", "stick_flexibility"):
-        shape = np.shape(getattr(law, name))
+    name, motions = type(law).__name__, ("displacement", "velocity")
+    for weight in ("static_row", "static_force_row", "static_displacement_row", "stick_flexibility"):
+        shape = np.shape(getattr(law, weight))
         if shape not in ((), law.pairs.shape):
+            raise ModelError(f"{name}.{weight} has shape {shape}; give one number, or one a pair, {law.pairs.shape}")
+    if law.opposes:
+        if law.opposes not in motions:
+            hint = nearest(law.opposes, motions)
+            raise ModelError(f'{name}.opposes = {law.opposes!r}; give one of {", ".join(motions)}{hint}, or ""')
+        if _lacks(law, "admit"):
+            raise ModelError(f'{name}.opposes = "{law.opposes}", but it has no admit; give that, or leave opposes out')
+        if law.impedance is not None and np.shape(law.impedance) != law.pairs.shape:
             raise ModelError(
-                f"{type(law).__name__}.{name} has shape {shape}; give one number, or one a pair, {law.pairs.shape}"
+                f"{name}.impedance has shape {np.shape(law.impedance)}; give one a pair, {law.pairs.shape}, or None"
             )
-
-
-def check_projection(law: Law) -> None:
-    """Refuses a law that says it is a projection but not of what, or on what.
-
-    Raises:
-        ModelError: ``opposes`` is no such motion, there is no ``admit``, or ``impedance`` is not one a pair.
-    """
-    name, known = type(law).__name__, ("displacement", "velocity")
-    if not law.opposes:
-        return
-    if law.opposes not in known:
-        raise ModelError(
-            f'{name}.opposes = {law.opposes!r}; give one of {", ".join(known)}{nearest(law.opposes, known)}, or ""'
-        )
-    if _lacks(law, "admit"):
-        raise ModelError(f'{name}.opposes = "{law.opposes}", but it has no admit; give that, or leave opposes out')
-    if law.impedance is not None and np.shape(law.impedance) != law.pairs.shape:
-        raise ModelError(
-            f"{name}.impedance has shape {np.shape(law.impedance)}; give one a pair, {law.pairs.shape}, or None"
-        )
-
-
-def check_corners(law: Law) -> None:
-    """Refuses a law that says it has corners but does not tell them.
-
-    Raises:
-        ModelError: ``find_corners`` or ``differentiate`` is missing.
-    """
-    for name in ("find_corners", "differentiate") if law.has_corners else ():
-        if _lacks(law, name):
-            raise ModelError(f"{type(law).__name__}.has_corners, but it has no {name}; give that, or leave both out")
+    for method in ("find_corners", "differentiate") if law.has_corners else ():
+        if _lacks(law, method):
+            raise ModelError(f"{name}.has_corners, but it has no {method}; give that, or leave both out")
 
 
 def _lacks(law: Law, method: str) -> bool:
