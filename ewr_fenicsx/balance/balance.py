@@ -217,6 +217,10 @@ class HarmonicBalance:
         forces, _, caused, _, projected = self._respond(unknowns, motion)
         return self._weigh(forces, caused, projected)
 
+    def measure_residual(self, unknowns: RealArray) -> float:
+        """Norm of the residual at unknowns ``(size,)``."""
+        return float(np.linalg.norm(self.residual(unknowns)))
+
     def linearise(self, unknowns: RealArray, motion: ComplexArray | None = None) -> NewtonStep:
         """Residual and generalised Jacobian at a point.
 
@@ -234,7 +238,7 @@ class HarmonicBalance:
 
     def within(self, tolerance: float) -> Callable[[RealArray], bool]:
         """Of unknowns ``(size,)``: whether they leave a residual norm below a tolerance."""
-        return lambda unknowns: bool(np.linalg.norm(self.residual(unknowns)) < tolerance)
+        return lambda unknowns: self.measure_residual(unknowns) < tolerance
 
     def take_whole_steps(
         self,

@@ -150,7 +150,7 @@ def _leave_over(balance: HarmonicBalance, unknowns: RealArray) -> tuple[RealArra
     forces, rigid = balance.unpack(unknowns)
     drawn = balance.compliance.motion(forces, rigid)[0].real
     left = measure_in_plane(balance.system, (balance.static_force_row * forces[0].real + springs * drawn) * held)
-    unsolved = UNSOLVED * np.linalg.norm(balance.residual(unknowns)) * balance.force_unit
+    unsolved = UNSOLVED * balance.measure_residual(unknowns) * balance.force_unit
     rubbing = measure_in_plane(balance.system, balance.basis.synthesise(forces))[:, held]
     return np.where(left > unsolved, left, 0.0), float(rubbing.max()) or 1.0
 

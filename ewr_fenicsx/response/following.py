@@ -322,6 +322,6 @@ class Follower:
         self, point: BranchPoint, here: PeriodicSolution, balance_at: Callable[[float], HarmonicBalance]
     ) -> PeriodicSolution:
         balance = balance_at(point.parameter)
-        residual = float(np.linalg.norm(balance.residual(point.unknowns)))
+        residual = balance.measure_residual(point.unknowns)
         attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", residual <= self.tolerance)
         return wrap(self._pose(point.parameter, here), balance, [attempt], (), 0.0)

@@ -65,7 +65,7 @@ def start_at_rest(
         return splitting.join(forces, splitting.balance.compliance.motion(forces, rigid))
 
     def attempt() -> Iterator[Attempt]:
-        if np.linalg.norm(balance.residual(balance.pack(*begin(balance)))) > SLIPPING:
+        if balance.measure_residual(balance.pack(*begin(balance))) > SLIPPING:
             yield start_from_splitting(balance, tolerance, linear_solver, join)
         yield climb(balance, tolerance, linear_solver, FINE_LEVELS, limit=limit, begin=begin)
 

@@ -240,7 +240,7 @@ def _iterate(
     """``_correct``, where every trial has a balance."""
     z, s = here.unknowns + ahead[:-1], here.parameter + ahead[-1] * span
     balance, onward = balance_at(s), None
-    left = [float(np.linalg.norm(balance.residual(z)))]  # by the steps of each factorisation
+    left = [balance.measure_residual(z)]  # by the steps of each factorisation
     rounded = not any(law.has_corners for law in balance.system.laws)
     while not left[-1] <= tolerance:  # no number is none either
         taken = len(left) - 1

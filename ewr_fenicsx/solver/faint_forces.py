@@ -37,7 +37,7 @@ def attend_to_faint_forces(
     unknowns, taken = balance.take_whole_steps(found.unknowns, LAST_STEPS, none_misses)  # a line search may take none
     begin, goal = found.unknowns, goals.min()
     if unknowns is not None:
-        begin, goal = unknowns, max(goal, np.linalg.norm(balance.residual(unknowns)))
+        begin, goal = unknowns, max(goal, balance.measure_residual(unknowns))
     closer = run_newton(balance, begin, goal, linear_solver, LAST_STEPS, near=True)
     steps = found.iterations + taken + closer.iterations
     if closer.walks:  # so faintly held that only a closer look tells

@@ -79,7 +79,7 @@ def start_cold(
     ``limit``: Newton steps allowed on the last set.
     """
     free = np.zeros(balance.size)
-    if np.linalg.norm(balance.residual(free)) <= tolerance:
+    if balance.measure_residual(free) <= tolerance:
         return run_newton(balance, free, tolerance, linear_solver)
     split = start_from_splitting(balance, tolerance, linear_solver)
     if split.converged or split.walks:
@@ -92,9 +92,7 @@ def start_cold(
 def begin_at_full_stick(balance: HarmonicBalance) -> Attempt:
     """The full-stick state as an attempt of no steps."""
     unknowns = balance.pack(*balance.full_stick)
-    return Attempt(
-        unknowns, float(np.linalg.norm(balance.residual(unknowns))), 0, "nothing is closer than full stick", False
-    )
+    return Attempt(unknowns, balance.measure_residual(unknowns), 0, "nothing is closer than full stick", False)
 
 
 def start_from_splitting(
@@ -149,7 +147,7 @@ def climb(
             break
     if level is not balance:
         unknowns = balance.pack(*embed(level.unpack(attempt.unknowns), level, balance))
-        attempt = replace(attempt, unknowns=unknowns, residual=float(np.linalg.norm(balance.residual(unknowns))))
+        attempt = replace(attempt, unknowns=unknowns, residual=balance.measure_residual(unknowns))
     if not attempt.converged and solved:
         attempt = replace(attempt, reason=f"{attempt.reason}; harmonics up to {solved} were solved for")
     return replace(attempt, iterations=steps)
@@ -346,7 +344,7 @@ def follow(
             return choose_better(failed, attempt, steps, f"traced to {here.parameter:.0%} {what} and beyond")
         reach *= 0.3  # the last step was too long to interpolate in: again, shorter
         branch = trace_branch(balance_at, here, 1.0, step=reach, tolerance=tolerance)
-    residual = float(np.linalg.norm(goal.residual(here.unknowns)))
+    residual = goal.measure_residual(here.unknowns)
     last = Attempt(here.unknowns, residual, 0, "", residual <= tolerance)
     return choose_better(failed, last, steps, f"the branch was lost or too long at {here.parameter:.0%} {what}")
 

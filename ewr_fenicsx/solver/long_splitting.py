@@ -102,5 +102,5 @@ def _settle(splitting: Splitting, state: RealArray, goal: float) -> Split:
 
 def _fits(balance: HarmonicBalance, unknowns: RealArray, defect: float) -> bool:
     """Whether residual and defect tell of about the same distance."""
-    residual = np.linalg.norm(balance.residual(unknowns))
+    residual = balance.measure_residual(unknowns)
     return bool(defect <= APART * residual <= APART**2 * defect)

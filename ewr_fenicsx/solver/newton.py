@@ -281,7 +281,7 @@ def start_from_time_stepping(
         unmoved = balance.compliance.motion(forces, rigid)[0].real
         rigid = np.linalg.lstsq(balance.compliance.rigid_motion, motion[0].real - unmoved, rcond=None)[0]
     starts = [balance.pack(forces, rigid), guide(balance, forces, motion, rigid)]
-    left = np.array([np.linalg.norm(balance.residual(u)) if np.all(np.isfinite(u)) else np.inf for u in starts])
+    left = np.array([balance.measure_residual(u) if np.all(np.isfinite(u)) else np.inf for u in starts])
     steps, far = steps + 1, ASTRAY if are_projections(balance) else np.inf
     for i in np.argsort(left)[: np.count_nonzero(left < far)]:
         found = run_newton(balance, starts[i], tolerance, linear_solver, TIME_NEWTON)
@@ -343,7 +343,7 @@ def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
             unknowns = -step.solve(step.residual)
         except np.linalg.LinAlgError:
             return Attempt(unknowns, float(np.linalg.norm(step.residual)), 0, "the linear problem is singular", False)
-    residual = float(np.linalg.norm(balance.residual(unknowns)))
+    residual = balance.measure_residual(unknowns)
     if residual <= tolerance:
         return Attempt(unknowns, residual, 0, "linear", True)
     names = " and ".join(dict.fromkeys(type(law).__name__ for law in balance.system.laws))
@@ -364,7 +364,7 @@ def leave_default_weights(
     known = solution.residual, solution.iterations, solution.reason, solution.converged
     found = Attempt(unknowns, *known, detour=solution.fallbacks)
     if not found.converged:
-        residual = float(np.linalg.norm(balance.residual(unknowns)))
+        residual = balance.measure_residual(unknowns)
         return replace(found, residual=residual, reason=f"not solved with the default weights: {found.reason}")
     last = approach_weights(balance, solution, tolerance, linear_solver)
     last = replace(last, iterations=found.iterations + last.iterations, detour=found.detour)

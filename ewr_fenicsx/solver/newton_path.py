@@ -116,7 +116,7 @@ def follow_from_afar(balance: HarmonicBalance, start: RealArray, tolerance: floa
     """
     if not np.linalg.norm(start) < LOST:
         return None
-    if balance.size > LARGEST_FAR and not np.linalg.norm(balance.residual(start)) < CLOSE:
+    if balance.size > LARGEST_FAR and not balance.measure_residual(start) < CLOSE:
         return None
     return follow_path(balance, start, tolerance, limit_corners(balance, FAR_CORNERS, FAR_WORK), tried=FAR_TRIED)
 

@@ -94,7 +94,7 @@ def run_newton(
         limit: Newton steps allowed a run, where these are fewer than ``MAX_STEPS`` or an option.
         near: Whether the start is a neighbour's solution: no step is shortened by a shift.
     """
-    norm = np.linalg.norm(balance.residual(start))
+    norm = balance.measure_residual(start)
     with closing(_Newton(balance, linear_solver, limit)) as newton:
         if balance.firm is balance or norm <= tolerance:
             return newton.run(balance, start, tolerance, near)
@@ -110,7 +110,7 @@ def run_newton(
         if elsewhere and not any(attempt.converged for attempt in attempts):
             attempts.append(newton.run(balance, start, tolerance, near))
     if not attempts:
-        return replace(firm, residual=float(np.linalg.norm(balance.residual(firm.unknowns))))
+        return replace(firm, residual=balance.measure_residual(firm.unknowns))
     steps = firm.iterations + sum(attempt.iterations for attempt in attempts)
     return replace(min(attempts), iterations=steps)
 
@@ -130,7 +130,7 @@ def _soften(newton: _Newton, balance: HarmonicBalance, start: RealArray, toleran
         if not attempts[-1].converged:
             break
         start = attempts[-1].unknowns
-    left = [replace(a, residual=float(np.linalg.norm(balance.residual(a.unknowns))), converged=False) for a in attempts]
+    left = [replace(a, residual=balance.measure_residual(a.unknowns), converged=False) for a in attempts]
     if attempts and attempts[-1].converged:
         left.insert(0, newton.run(balance, start, tolerance, near=True))
     return left
@@ -169,7 +169,7 @@ class _Newton:
         self, balance: HarmonicBalance, start: RealArray, tolerance: float, near: bool, *, again: bool = False
     ) -> Attempt:
         """One run from one start; ``again``: where the run before ended, whose factors may serve."""
-        self.equations.pose(balance, float(np.linalg.norm(balance.residual(start))), 0.0 if near else SHIFT)
+        self.equations.pose(balance, balance.measure_residual(start), 0.0 if near else SHIFT)
         if not again:
             self.halved.factored, self.halved.single = 0, True
         self.snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MAX_STEPS)
@@ -180,7 +180,7 @@ class _Newton:
         call_petsc(self.snes.solve, None, self.x)
         code, steps = self.snes.getConvergedReason(), self.snes.getIterationNumber()
         found = self.x.array.copy()
-        residual = float(np.linalg.norm(balance.residual(found)))
+        residual = balance.measure_residual(found)
         if residual <= tolerance and walks(balance, found):
             return Attempt(found, residual, steps, WALKS, False, walks=True)
         return Attempt(found, residual, steps, _REASONS.get(code, f"SNES reason {code}"), residual <= tolerance)

@@ -96,7 +96,7 @@ def list_starts(start: PeriodicSolution, balance: HarmonicBalance, tolerance: fl
     carried = balance.pack(forces, rigid)
     moved = np.abs(balance.compliance.motion(forces, rigid) - motion).max(initial=0.0)
     same = moved <= SAME_MOTION * np.abs(motion).max(initial=0.0)
-    left = np.linalg.norm(balance.residual(carried))
+    left = balance.measure_residual(carried)
     linearise = cache(lambda: balance.linearise(carried, motion))  # once, and only where it is asked for
     least = WORTHWHILE if same else GUIDED_WORTHWHILE
     far = DEAR_FAR if same and balance.size >= DEAR_FROM else FAR

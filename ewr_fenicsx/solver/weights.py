@@ -95,7 +95,7 @@ def approach_weights(
     joined = not balance.system.closures  # no path leads from dashpots to springs
     at = blend_weights(neighbour, balance) if joined else None
     share, here, last, steps = 0.0, begin, None, 0
-    if joined and (balance.size <= LARGEST_STAGED or np.linalg.norm(balance.residual(begin)) <= FAR_OFF):
+    if joined and (balance.size <= LARGEST_STAGED or balance.measure_residual(begin) <= FAR_OFF):
         last = _go_straight(balance, begin, tolerance, linear_solver)
         steps = last.iterations
         if last.converged:
@@ -122,7 +122,7 @@ def approach_weights(
 
 def _go_straight(balance: HarmonicBalance, begin: RealArray, tolerance: float, linear_solver: LinearSolver) -> Attempt:
     """Newton's method from a solution with other weights, given up as soon as it does not close in fast."""
-    steps, left = 0, float(np.linalg.norm(balance.residual(begin)))
+    steps, left = 0, balance.measure_residual(begin)
     while True:
         last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
         steps += last.iterations
