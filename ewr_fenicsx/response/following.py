@@ -271,8 +271,14 @@ class Follower:
             balance = balance_at(solution.problem.frequency)
             return BranchPoint(solution.problem.frequency, balance.pack(solution.forces, solution.rigid), 0)
 
-        wrap = cache(lambda point: self._wrap(point, here, balance_at))
-        state_at = cache(lambda point: read_state(wrap(point)))
+        @cache
+        def solution_at(point: BranchPoint) -> PeriodicSolution:
+            balance = balance_at(point.parameter)
+            residual = balance.measure_residual(point.unknowns)
+            attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", residual <= self.tolerance)
+            return wrap(self._pose(point.parameter, here), balance, [attempt], (), 0.0)
+
+        state_at = cache(lambda point: read_state(solution_at(point)))
 
         def measure_room(a: BranchPoint, b: BranchPoint) -> float:
             change = compare_states(state_at(a), state_at(b)) if self.refine else 0.0
@@ -307,7 +313,7 @@ class Follower:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= times * TRACED_POINTS:
                 return points, f"{len(points)} points of arc-length continuation did not reach it"
-            traced = wrap(point)
+            traced = solution_at(point)
             if point.parameter >= target:
                 earlier = points[-1] if points else here
                 ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)
@@ -317,11 +323,3 @@ class Follower:
                 return points, f"past its folds, the branch was lost before {target:g} Hz"
             points.append(traced)
         return points, "the branch was lost by arc-length continuation"
-
-    def _wrap(
-        self, point: BranchPoint, here: PeriodicSolution, balance_at: Callable[[float], HarmonicBalance]
-    ) -> PeriodicSolution:
-        balance = balance_at(point.parameter)
-        residual = balance.measure_residual(point.unknowns)
-        attempt = Attempt(point.unknowns, residual, point.steps, "traced by arc length", residual <= self.tolerance)
-        return wrap(self._pose(point.parameter, here), balance, [attempt], (), 0.0)
