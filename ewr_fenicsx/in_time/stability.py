@@ -66,7 +66,8 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
     if not count or system.model.cyclic:
         return False
-    system = see_often(system)
+    times = -(-SAMPLES * system.basis.orders[-1] // system.basis.samples)
+    system = system.sample(times * system.basis.samples)  # its own are among them
     solved, unknowns = pose_at(system, forces, rigid)
     try:
         between = HarmonicBalance(see_between(system, count), solved.force_unit)
@@ -75,13 +76,6 @@ def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) ->
     derivatives = solved.linearise(unknowns).derivatives
     step = NewtonStep(between, tuple(map(repeat, derivatives)), np.zeros(between.size))
     return find_sign(step.matrix()) < 0
-
-
-def see_often(system: ContactSystem) -> ContactSystem:
-    """The system at ``SAMPLES`` a highest harmonic or more, its own among them."""
-    basis = system.basis
-    times = -(-SAMPLES * basis.orders[-1] // basis.samples)
-    return replace(system, basis=FourierBasis(basis.orders, times * basis.samples))
 
 
 def see_between(system: ContactSystem, count: int) -> ContactSystem:
