@@ -176,15 +176,10 @@ def choose_weight(problem: Statement, direction: str, pairs: np.ndarray, flexibi
     """``(K,)`` weight of some pairs' rows in a direction: the user's, or by each row's ``flexibility`` [m/N]."""
     given = problem.rho_normal if direction == "normal" else problem.rho_tangential
     if given is not None:
-        return pick_pairs(given, pairs, problem.model.pairs)
+        return np.full(problem.model.pairs, given, dtype=float)[pairs]
     if direction == "normal":
         return DEFAULT_NORMAL_WEIGHT / flexibility
     return choose_friction_weight(problem.omega or 1.0, flexibility)
-
-
-def pick_pairs(value: float | RealArray, pairs: np.ndarray, total: int) -> RealArray:
-    """``(K,)`` values of some pairs, in their order, of a problem's scalar or ``(K_c,)``."""
-    return spread_over_pairs(value, np.arange(total), total)[pairs]
 
 
 def choose_closing(
@@ -192,7 +187,7 @@ def choose_closing(
 ) -> RealArray:
     """``(K,)`` flexibility of the springs that close the truncation at a group of pairs, zero where none do [m/N]."""
     if not isinstance(problem.closure, str):
-        return pick_pairs(problem.closure, pairs, problem.model.pairs)
+        return np.full(problem.model.pairs, problem.closure, dtype=float)[pairs]
     highest, others = problem.basis.orders[-1], masses == 0
     if not (problem.has_springs and highest and np.any(others)):
         return np.zeros(pairs.size)
