@@ -41,14 +41,6 @@ class MeanEquation(NamedTuple):
         )
 
 
-def choose_regularisation(group: PairGroup) -> RealArray:
-    """``(K,)`` share of the mean force in its equation: where a body hangs on friction, less if large weights creep."""
-    omega = 2 * np.pi / group.period if group.period else 1.0
-    usual = choose_friction_weight(omega, group.flexibility["tangential"])
-    share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
-    return np.maximum(share, MEAN_FRICTION_REGULARISATION)
-
-
 def choose_mean_equation(group: PairGroup, static_friction: StaticFriction) -> MeanEquation:
     """What decides the mean friction of some pairs; where a body hangs on it, they share it like springs."""
     stiffness = 1 / group.flexibility["tangential"]
@@ -56,5 +48,8 @@ def choose_mean_equation(group: PairGroup, static_friction: StaticFriction) -> M
         return MeanEquation(0.0, np.ones_like(stiffness), np.zeros_like(stiffness))
     if static_friction == "held":
         return MeanEquation(1.0, np.zeros_like(stiffness), HELD * stiffness)
-    share = choose_regularisation(group)
+    omega = 2 * np.pi / group.period if group.period else 1.0
+    usual = choose_friction_weight(omega, group.flexibility["tangential"])  # with larger weights pairs creep
+    share = HANGING * group.hangs_on_friction * np.minimum(1.0, usual / group.weight["tangential"])
+    share = np.maximum(share, MEAN_FRICTION_REGULARISATION)
     return MeanEquation(1.0, share, share * stiffness * group.hangs_on_friction)
