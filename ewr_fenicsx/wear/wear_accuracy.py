@@ -55,7 +55,7 @@ class AccurateWear:
 
         Where nothing more accurate is found, the step stays as it is, and its estimate says so.
         """
-        estimate = self._estimate(step.solution)
+        estimate = estimate_errors(step.solution, self.choice.get("modes", ()), self._rate).total
         if estimate <= self.accuracy:
             return replace(step, estimate=estimate)
         posed = adopt_weights(step.solution.problem, self.problem)
@@ -66,9 +66,6 @@ class AccurateWear:
         if found.estimate.total >= estimate:
             return replace(step, estimate=estimate)
         return self._take(step, found, modes)
-
-    def _estimate(self, solution: PeriodicSolution) -> float:
-        return estimate_errors(solution, self.choice.get("modes", ()), self._rate).total
 
     def _rate(self, solution: PeriodicSolution) -> RealArray:
         return measure_wear_rate(solution, self.coefficient)
