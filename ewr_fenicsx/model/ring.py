@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray, check_symmetry, read_numbers
+from ewr_fenicsx.given import RealArray, check_symmetry, read_numbers
 from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS, CyclicSymmetry
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
@@ -89,16 +89,12 @@ def close_ring(
             for name in ROWS
             if (own_rows := getattr(sector, name)) is not None
         },
-        load={h: _load_ring(ring, h, own.T @ f, following.T @ f) for h, f in sector.load.items()},
+        # the one before loads a sector at its high cut, ahead in time
+        load={h: own.T @ f + np.conj(ring.lag(ring.wave_of(h))) * (following.T @ f) for h, f in sector.load.items()},
         outputs={name: row @ both for name, row in sector.outputs.items()},
         rigid_modes=(rigid @ mix[np.count_nonzero(sizes > _APART) :].T)[kept],
         cyclic=ring,
     )
-
-
-def _load_ring(ring: CyclicSymmetry, harmonic: int, own: ComplexArray, following: ComplexArray) -> ComplexArray:
-    """What loads do to a sector: its own ones, and the one before at its high cut, which is ahead in time."""
-    return own + np.conj(ring.lag(ring.wave_of(harmonic))) * following
 
 
 def _read_cuts(low: object, high: object, turn: object, size: int) -> tuple[np.ndarray, np.ndarray, RealArray]:
