@@ -17,14 +17,7 @@ from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.loading_history import hold_in_place
 from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
-from ewr_fenicsx.solver.ladder import (
-    COARSE_LEVELS,
-    COARSE_TOLERANCE,
-    FINE_LEVELS,
-    climb,
-    start_cold,
-    start_from_splitting,
-)
+from ewr_fenicsx.solver.ladder import FINE_LEVELS, climb, start_cold, start_from_splitting
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import Splitting
 from ewr_fenicsx.solver.warm_starts import pick_first
@@ -54,7 +47,7 @@ def start_at_rest(
     """
     rest, steps = find_rest(problem)
     if rest is None:
-        cold = start_cold(balance, tolerance, linear_solver, COARSE_LEVELS, COARSE_TOLERANCE, limit)
+        cold = start_cold(balance, tolerance, linear_solver, limit=limit)
         return replace(cold, iterations=steps + cold.iterations)
 
     def begin(level: HarmonicBalance) -> tuple[ComplexArray, RealArray]:

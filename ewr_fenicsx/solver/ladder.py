@@ -68,8 +68,8 @@ def start_cold(
     balance: HarmonicBalance,
     tolerance: float,
     linear_solver: LinearSolver,
-    levels: tuple[int, ...],
-    coarse_tolerance: float,
+    levels: tuple[int, ...] = COARSE_LEVELS,
+    coarse_tolerance: float = COARSE_TOLERANCE,
     limit: int | None = None,
 ) -> Attempt:
     """Newton from where a splitting ends, or else from full stick up through growing sets of harmonics.
@@ -287,7 +287,7 @@ def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -
 
     steps = failed.iterations
     for most in DAMPINGS:
-        attempt = start_cold(damp(most, 0.0), tolerance, "elimination", COARSE_LEVELS, COARSE_TOLERANCE)
+        attempt = start_cold(damp(most, 0.0), tolerance, "elimination")
         steps += attempt.iterations
         if attempt.converged:
             break

@@ -26,8 +26,6 @@ from ewr_fenicsx.solver.faint_forces import attend_to_faint_forces
 from ewr_fenicsx.solver.growing_load import grow_load, trace_load
 from ewr_fenicsx.solver.growing_sets import add_harmonics
 from ewr_fenicsx.solver.ladder import (
-    COARSE_LEVELS,
-    COARSE_TOLERANCE,
     FINE_LEVELS,
     FINE_TOLERANCE,
     LARGEST_DAMPED,
@@ -190,9 +188,9 @@ def list_rungs(
     if start is not None:
         yield "given start", lambda _: go_on_from(start, balance, tolerance, linear_solver)
     own = has_own_weights(problem)
-    levels, coarse = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else (COARSE_LEVELS, COARSE_TOLERANCE)
+    sets = (SPRING_LEVELS, SPRING_TOLERANCE) if problem.has_springs else ()  # or the usual ones
     limit = OWN_STEPS if own and not problem.system.closures else None
-    cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, levels, coarse, limit)
+    cold = "cold start", lambda _: start_cold(balance, tolerance, linear_solver, *sets, limit=limit)
     if begins_at_rest(balance):
         cold = "start at rest", lambda _: start_at_rest(problem, balance, tolerance, linear_solver, limit)
     if own:  # the default ones take all rungs that there are

@@ -73,7 +73,7 @@ def test_where_more_harmonics_make_no_problem_the_ladder_goes_on(given, why, mon
     laws = ContactLaws(normal="prescribed", normal_force=given, friction=0.3)
     problem = ContactProblem(model, laws, 50.0, (0, 1, 2), samples=512, closure="dashpot")
     for way in ("start_cold", "grow_load"):
-        monkeypatch.setattr(newton, way, lambda balance, *_: newton.begin_at_full_stick(balance))
+        monkeypatch.setattr(newton, way, lambda balance, *_, **__: newton.begin_at_full_stick(balance))
     monkeypatch.setattr(newton, "start_from_time_stepping", lambda *given: replace(given[-1], iterations=0))
     monkeypatch.setattr(newton, "add_harmonics", hit)
     solution = solve(problem, raise_on_failure=False)
