@@ -15,17 +15,10 @@ from mpi4py import MPI
 
 from ewr_fenicsx.accuracy.accuracy import AccurateSolution
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.response.following import Jump
-from ewr_fenicsx.response.solution_store import (
-    fingerprint,
-    gather_figure,
-    gather_output,
-    list_orders,
-    strip,
-    write_records,
-)
+from ewr_fenicsx.response.solution_store import SolutionSeries, fingerprint, strip, write_records
 from ewr_fenicsx.response.sweep_store import FORMAT, WORTH_A_POINT, StabilityStore
 from ewr_fenicsx.solution.contact_state import list_figures
 from ewr_fenicsx.solution.solution import PeriodicSolution
@@ -36,7 +29,7 @@ RESULTS = "frequency_response.h5"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyResponse:
+class FrequencyResponse(SolutionSeries):
     """Periodic solutions along a curve.
 
     Attributes:
@@ -62,11 +55,6 @@ class FrequencyResponse:
     def frequencies(self) -> RealArray:
         """``(n,)`` [Hz]."""
         return np.array([s.problem.frequency for s in self.solutions])
-
-    @cached_property
-    def orders(self) -> tuple[int, ...]:
-        """Harmonics that any of the solutions has, ``n_h`` of them."""
-        return list_orders(self.solutions)
 
     @property
     def breaks(self) -> tuple[int, ...]:
@@ -125,24 +113,6 @@ class FrequencyResponse:
             report(len(self.solutions))
         found = known | dict(zip(left, found, strict=True))
         return np.array([found[k] for k in range(len(found))], dtype=bool)
-
-    def output(self, name: str) -> ComplexArray:
-        """One-sided complex amplitudes ``(n, n_h)`` of a named output at ``orders``; zero where a solution has none.
-
-        Raises:
-            ModelError: The model has no such output, or the curve has no solution.
-        """
-        self._check_solved()
-        return gather_output(self.solutions, name, self.orders)
-
-    def figure(self, name: str) -> RealArray:
-        """``(n,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
-
-        Raises:
-            ModelError: There is no such figure, or the curve has no solution.
-        """
-        self._check_solved()
-        return gather_figure(self.solutions, name)
 
     def _check_solved(self) -> None:
         if not self.solutions:

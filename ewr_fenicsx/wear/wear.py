@@ -19,11 +19,11 @@ import numpy as np
 from ewr_fenicsx.accuracy.accuracy import check_accuracy, solve_to_accuracy
 from ewr_fenicsx.accuracy.solving import tell_error
 from ewr_fenicsx.errors import ModelError, list_few, nearest
-from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.given import RealArray, is_positive, is_whole
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.response.solution_store import fingerprint, gather_figure, gather_output, list_orders
+from ewr_fenicsx.response.solution_store import SolutionSeries, fingerprint
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
@@ -35,7 +35,7 @@ WORTH = 10.0  # seconds of work that are worth a new version of the file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WearHistory:
+class WearHistory(SolutionSeries):
     """What a joint wears.
 
     Attributes:
@@ -154,23 +154,6 @@ class WearHistory:
     def short(self) -> np.ndarray:
         """Cycles after which the solution is thought less accurate than asked, in turn; none without an accuracy."""
         return self.cycles[:0] if self.accuracy is None else self.cycles[self.estimates > self.accuracy]
-
-    @cached_property
-    def orders(self) -> tuple[int, ...]:
-        """Harmonics that any of the solutions has, ``n_h`` of them."""
-        return list_orders(self.solutions)
-
-    def output(self, name: str) -> ComplexArray:
-        """One-sided complex amplitudes ``(steps, n_h)`` of a named output of the model at ``orders``."""
-        return gather_output(self.solutions, name, self.orders)
-
-    def figure(self, name: str) -> RealArray:
-        """``(steps,)`` a figure of merit of every solution, such as ``"J_T"``, ``"J_N"`` or ``"rms_tip"``.
-
-        Raises:
-            ModelError: There is no such figure.
-        """
-        return gather_figure(self.solutions, name)
 
     def table(self) -> dict[str, RealArray]:
         """Column -> ``(steps,)``: cycles, worn depth and volume, sliding, separation and outputs."""
