@@ -110,12 +110,8 @@ def write_reference() -> str:
     return "\n".join(parts)
 
 
-def list_sections() -> Iterator[tuple[str, type[Section]]]:
-    """Title and definition of every table of a scene; alternatives of a table one by one."""
-    yield from _list_tables(Scene, "")
-
-
-def _list_tables(parent: type[Section], prefix: str) -> Iterator[tuple[str, type[Section]]]:
+def list_sections(parent: type[Section] = Scene, prefix: str = "") -> Iterator[tuple[str, type[Section]]]:
+    """Title and definition of every table of a scene, or within another one; alternatives of a table one by one."""
     for name, field in parent.model_fields.items():
         kinds = list(_find_sections(field.annotation))
         path = prefix + name
@@ -124,7 +120,7 @@ def _list_tables(parent: type[Section], prefix: str) -> Iterator[tuple[str, type
         for kind in kinds:
             choice = f', kind = "{typing.get_args(kind.model_fields["kind"].annotation)[0]}"' if len(kinds) > 1 else ""
             yield f"`[{path}]`{choice}", kind
-            yield from _list_tables(kind, f"{path}.")
+            yield from list_sections(kind, f"{path}.")
 
 
 def _find_sections(annotation: typing.Any) -> Iterator[type[Section]]:
