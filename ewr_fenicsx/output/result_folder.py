@@ -114,12 +114,7 @@ def do_with_files(action: Callable[[], T], comm: MPI.Comm, folder: Path | str = 
     Raises:
         OutputError: ``action`` raised it, or an ``OSError``.
     """
-
-    def name_failure() -> T:
-        with _name_failure(folder):
-            return action()
-
-    return do_on_rank_zero(name_failure, comm)
+    return do_on_rank_zero(_name_failure(folder)(action), comm)
 
 
 @contextmanager
