@@ -121,10 +121,8 @@ class Elimination:
         n_h = len(basis.orders)
         reaction = np.zeros((n_h, c.size, mixed.size), dtype=complex)
         offset, rigid = np.zeros((n_h, c.size), dtype=complex), np.zeros((c.size, balance.rigid))
-        if c.size == 0:
-            return cls(balance, derivatives, shift, c, mixed, reaction, offset, rigid)
         right = basis.to_amplitudes(load)[:, c]
-        for batch in _cut_harmonics(balance, c):
+        for batch in _cut_harmonics(balance, c) if c.size else ():
             A, toward_rigid = _gather(balance, derivatives, c, shift, batch)
             known = np.concatenate([np.take(A, mixed, axis=2), right[batch, :, None], toward_rigid], axis=2)
             solved = np.linalg.solve(np.take(A, c, axis=2), known)
