@@ -17,6 +17,7 @@ _HOME = {
     "solve": "accuracy.solving",
     "solve_to_accuracy": "accuracy.accuracy",
     "integrate": "solver.time_integration",
+    "State": "in_time.time_stepping",
     "frequency_response": "response.frequency_sweep",
     "evolve_wear": "wear.wear",
     "Tolerance": "wear.cycle_jumps",

@@ -95,7 +95,7 @@ def walks_on(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> b
     Only what no spring holds does: a body on springs that creeps to where they hold it comes to rest there. ``ways`` is
     as in ``Watch``: a body that has moved in one period alone may have come to rest as well.
     """
-    floats = scheme.contraction @ scheme.system.expansion @ scheme.system.model.rigid_modes
+    floats = scheme.contraction @ scheme.layout.expansion @ scheme.layout.model.rigid_modes
     moved = np.array(ways) @ floats @ np.linalg.pinv(floats)
     if not floats.size or len(moved) < 2:
         return False

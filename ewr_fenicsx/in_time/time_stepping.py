@@ -98,6 +98,7 @@ class TimeScheme:
 
     Attributes:
         contraction: ``(n', n)`` to modal coordinates, which have a unit of inertia in a step each.
+        first_load: ``(steps, n')`` modal load at the begin of each step.
         thetas: ``(n',)`` that of each mode: more for those without mass, or far too fast for the step.
         push: ``(n', m)`` what a unit of each impulse does to the velocities in its step.
         echo, echoes: ``(k, m)`` what it takes back in the next step, and from which ``k`` modes.
@@ -120,8 +121,8 @@ class TimeScheme:
             raise ModelError(f"steps = {steps} cannot resolve harmonic {highest}; give at least {2 * highest + 1}")
         self.problem, self.steps, self.theta = problem, int(steps), float(theta)
         self.dt = 1 / (problem.frequency * steps)
-        self.system = problem.system
-        model = self.system.model
+        self.layout = problem.layout  # whether contact holds all bodies need not be known
+        model = self.layout.model
         reach = (self.theta * self.dt) ** 2
         inertia = model.mass + reach * model.stiffness
         try:  # a singular mass does no harm in this pencil
@@ -131,14 +132,15 @@ class TimeScheme:
                 f"frequency = {problem.frequency:g} Hz: with {steps} steps a period, inertia is lost in the rounding "
                 "of stiffness; take more steps or a higher frequency"
             ) from None
-        self.expansion = self.system.expansion @ modes
+        self.expansion = self.layout.expansion @ modes
         self.contraction = self.expansion.T @ (problem.model.mass + reach * problem.model.stiffness)
         self.mass = np.einsum("ni,nm,mi->i", modes, model.mass, modes, optimize=True)
         self.stiffness = np.einsum("ni,nm,mi->i", modes, model.stiffness, modes, optimize=True)
         self.thetas = np.where(self.mass > _TOO_FAST, self.theta, max(self.theta, _FOLLOWING))
         self.damping = modes.T @ model.damping @ modes
-        self.rows = np.ascontiguousarray(self.system.rows @ modes)
-        self.modes = modes
+        self.rows = np.ascontiguousarray(self.layout.rows @ modes)
+        load = self.layout.project(problem.excitation)
+        self.first_load = sample_amplitudes(load, np.arange(model.size), self.steps) @ modes
         self._compose_step()
         self._compose_laws()
 
@@ -169,8 +171,8 @@ class TimeScheme:
         return self._inverse[:, None] * forces if self.is_diagonal else scipy.linalg.lu_solve(self._factor, forces)
 
     def _compose_laws(self) -> None:
-        problem, system = self.problem, self.system
-        m, total = system.rows.shape[0], problem.model.pairs
+        problem, layout = self.problem, self.layout
+        m, total = layout.rows.shape[0], problem.model.pairs
         self.kind, self.partner, self.twin = np.full(m, -1), np.full(m, -1), np.full(m, -1)
         self.friction, self.initial_gap = np.zeros(m), np.zeros(m)
         self.given_limit = np.zeros((self.steps, m))
@@ -179,7 +181,7 @@ class TimeScheme:
             for side, known in _KNOWN.items():
                 if (name := getattr(laws, side)) not in known:
                     raise ModelError(f'{side} = "{name}": time integration knows only {", ".join(known)}; use solve')
-            normal, tangential = system.row_of("normal", pairs), system.row_of("tangential", pairs)
+            normal, tangential = layout.row_of("normal", pairs), layout.row_of("tangential", pairs)
             if np.all(normal >= 0):
                 self.kind[normal] = UNILATERAL if laws.normal == "unilateral" else BILATERAL
                 self.initial_gap[normal] = problem.clearance[pairs]
@@ -187,10 +189,10 @@ class TimeScheme:
                 rubs = tangential >= 0
                 row, friction = tangential[rubs], spread_over_pairs(laws.friction, pairs, total)[rubs]
                 self.kind[row], self.partner[row], self.friction[row] = FRICTION, normal[rubs], friction
-                self.twin[row] = second = system.row_of("second_tangential", pairs[rubs])
+                self.twin[row] = second = layout.row_of("second_tangential", pairs[rubs])
                 self.kind[second[second >= 0]] = FRICTION
                 if laws.normal == "prescribed":
-                    force = np.maximum(0.0, self.sample(system.prescribed, pairs[rubs]))
+                    force = np.maximum(0.0, self.sample(problem.given_force, pairs[rubs]))
                     self.given_limit[:, row] = self.dt * friction * force
             order += [row for both in zip(normal, tangential, strict=True) for row in both if row >= 0]
         self.order = np.array(order, dtype=np.int64)
@@ -203,8 +205,7 @@ class TimeScheme:
     @cached_property
     def load(self) -> RealArray:
         """Modal load at each mode's ``theta`` within each step, ``(steps, n')``."""
-        ends = sample_amplitudes(self.system.load, np.arange(self.system.model.size), self.steps) @ self.modes
-        return self.blend(ends, np.roll(ends, -1, axis=0))
+        return self.blend(self.first_load, np.roll(self.first_load, -1, axis=0))
 
     @cached_property
     def velocity_of_load(self) -> RealArray:
@@ -221,8 +222,7 @@ class TimeScheme:
         The impulses of the step before are those under which the modes with a ``theta`` of their own are in balance.
         """
         position, velocity = self.contraction @ state.position, self.contraction @ state.velocity
-        load = sum(np.real(f) for f in self.system.load.values()) @ self.modes if self.system.load else 0.0
-        force = self.stiffness * position + self.damping @ velocity - load
+        force = self.stiffness * position + self.damping @ velocity - self.first_load[0]
         fast = self.thetas != self.theta
         impulse = self.dt * np.linalg.lstsq(self.rows[:, fast].T, force[fast], rcond=1e-12)[0]
         return position, velocity, Carried(impulse, np.zeros_like(impulse))

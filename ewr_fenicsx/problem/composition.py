@@ -56,23 +56,35 @@ class Statement(Protocol):
     given_force: Mapping[int, ComplexArray]
     excitation: Mapping[int, ComplexArray]
     generalised_inverse: GeneralisedInverse
+    layout: Layout
+
+
+def arrange(problem: Statement) -> Layout:
+    """Rows of a problem.
+
+    Raises:
+        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, a given normal force
+            at harmonics that the problem does without, or an interference that nothing relieves; or contact holds a
+            floating body, and harmonic 0 is not kept.
+    """
+    model = problem.model
+    layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
+    check_given_force(problem)
+    check_interference(problem, layout)
+    check_mean(problem.basis, layout)
+    return layout
 
 
 def compose(problem: Statement) -> ContactSystem:
     """Build the system of a problem.
 
     Raises:
-        ModelError: A law needs contact rows that the model lacks, a row that nothing can move, a given normal force
-            at harmonics that the problem does without, or an interference that nothing relieves; or contact holds a
-            floating body, and harmonic 0 is not kept.
+        ModelError: As ``arrange``; or a harmonic hits an undamped mode exactly, or contact forces do not see a motion
+            of a floating body.
         UnheldBody: Contact cannot hold a floating body under its mean load.
     """
-    model, basis = problem.model, problem.basis
-    layout = lay_out(model, tuple(demand_rows(model, pairs, laws.kinds) for pairs, laws in problem.groups))
-    check_given_force(problem)
-    check_interference(problem, layout)
-    check_mean(basis, layout)
-    load = {h: layout.expansion.T @ f for h, f in problem.excitation.items()}
+    layout, basis = problem.layout, problem.basis
+    load = layout.project(problem.excitation)
     flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
         usual = layout.rows_in(wave := layout.usual_wave)

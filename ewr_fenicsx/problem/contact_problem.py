@@ -18,9 +18,10 @@ from ewr_fenicsx.laws.law_kinds import is_own, spread_over_pairs
 from ewr_fenicsx.model.receptance import GeneralisedInverse
 from ewr_fenicsx.model.reduced_model import ReducedModel, check_loads
 from ewr_fenicsx.problem.closure import Closure
-from ewr_fenicsx.problem.composition import compose
+from ewr_fenicsx.problem.composition import arrange, compose
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis, select_basis
+from ewr_fenicsx.problem.layout import Layout
 
 LOWEST_FREQUENCY, HIGHEST_FREQUENCY = 1e-100, 1e100  # [Hz] powers of them must stay numbers
 
@@ -233,6 +234,11 @@ class ContactProblem:
             if np.any(amplitude):  # symmetry may have left the harmonic of others out
                 total[h] = total.get(h, 0) + self.model.rows("normal", self.model.wave_of(h)).conj().T @ amplitude
         return total
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The rows of its joint, which say nothing of whether contact holds all bodies."""
+        return arrange(self)
 
     @cached_property
     def system(self) -> ContactSystem:

@@ -89,6 +89,10 @@ class Layout:
         """The rows in a wave of a ring, ``(m, n')``."""
         return self.model.see_wave(self.rows, self.next_rows, wave)
 
+    def project(self, load: Mapping[int, ComplexArray]) -> dict[int, ComplexArray]:
+        """Loads, harmonic -> ``(n,)``, on the model's coordinates, ``(n',)`` [N]."""
+        return {h: self.expansion.T @ amplitude for h, amplitude in load.items()}
+
     @property
     def usual_wave(self) -> int:
         """The wave of harmonic 1, in which flexibilities are measured; 0 where there is no ring."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
-from ewr_fenicsx.errors import ModelError
+from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
@@ -19,13 +19,20 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
     """State at ``tau = 0`` that ``start`` stands for; see ``integrate``.
 
     Raises:
-        ModelError: An unknown word, no rest was found, or a state of another size than the model's.
+        ModelError: An unknown word, no rest was found, or a state of another size than the model's; or contact forces
+            do not see a motion of a floating body, and the start is no state.
+        UnheldBody: The start is no state, and contact cannot hold a floating body under its mean load.
     """
     if isinstance(start, State):
         state = start
     elif start is None or isinstance(start, str):
         if start not in (None, "rest"):
             raise ModelError(f'start = "{start}"; {_STARTS}')
+        try:
+            problem.system  # noqa: B018
+        except (ModelError, UnheldBody) as error:
+            error.args = (f"{error}; integrate steps it all the same from a State",)
+            raise
         moves = bool(np.any(problem.clearance)) or is_held_by_friction(problem)
         at_rest = find_rest(problem)[0] if moves else None
         if start == "rest" and moves and not at_rest:

@@ -175,16 +175,16 @@ class SteadyState:
 
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
-        problem, system, scheme = self.problem, self.scheme.system, self.scheme
+        problem, scheme = self.problem, self.scheme
         directions = ("normal", *problem.model.tangent_directions)
         found = {d: np.zeros((scheme.steps, problem.model.pairs)) for d in directions}
         held = []
         for pairs, laws in problem.groups:
             for direction in directions:
                 law = laws.normal if direction == "normal" else laws.tangential
-                rows = system.row_of(direction, pairs)
+                rows = scheme.layout.row_of(direction, pairs)
                 if law == "prescribed":
-                    found["normal"][:, pairs] = scheme.sample(system.prescribed, pairs)
+                    found["normal"][:, pairs] = scheme.sample(problem.given_force, pairs)
                 elif np.any(acts := rows >= 0):
                     found[direction][:, pairs[acts]] = self.last.impulses[:, rows[acts]] / scheme.dt
                 elif law == "bonded":
@@ -287,7 +287,8 @@ def integrate(
             off at that way over the length of a step); ``"rest"``: the static state under the mean load, without
             velocity, in which all pairs are closed, and without friction unless ``static_friction = "held"``; where
             there are gaps, or friction is held, the static solution of the laws; None: that solution there, if it is
-            found, else the full-stick periodic state, whose mean is the same state.
+            found, else the full-stick periodic state, whose mean is the same state. Bodies that contact cannot hold
+            at rest need a ``State``.
         steps: Steps a period.
         periods: Most periods to step.
         tolerance: Largest relative change from one period to the next (rms over the period, of each output, of the
@@ -312,6 +313,7 @@ def integrate(
         ModelError: The problem has no period, the start does not fit it or there is no ``"rest"``, ``steps``,
             ``periods`` or ``sweeps`` is no whole number from one, the steps are too few for the harmonics, or a
             tolerance is negative or no number.
+        UnheldBody: Contact cannot hold a floating body under its mean load, and the start is no ``State``.
     """
     check_problem(problem)
     for name, count in (("periods", periods), ("sweeps", sweeps)):
