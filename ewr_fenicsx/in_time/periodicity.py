@@ -57,10 +57,14 @@ class Watch:
         """What is followed at most, of modal motions of these sizes."""
         return np.hstack([sizes @ np.abs(self.readers.T), sizes * self.inertia])
 
+    def record(self, period: Period) -> None:
+        """Keep a period's outputs, also of a motion that grew past all numbers."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            self.history.append(period.positions @ self.readers[: len(self.names)].T)
+
     def measure_change(self, period: Period) -> float:
         """Relative change since the period before: the largest of each output's, all pairs' and all masses' motions."""
         motion = np.hstack([period.positions @ self.readers.T, period.positions * self.inertia])
-        self.history.append(motion[:, : len(self.names)])
         total = lambda values: np.bincount(self.groups, weights=np.mean(values**2, axis=0))  # noqa: E731
         modal = period.positions
         scale = total(motion - motion.mean(axis=0))
@@ -84,7 +88,7 @@ class Watch:
 
     @property
     def transients(self) -> dict[str, RealArray]:
-        """Output name -> its values at all steps of all periods."""
+        """Output name -> its values at all steps of all periods that were recorded."""
         values = np.concatenate([part[i > 1 :] for i, part in enumerate(self.history)])  # periods share their ends
         return {name: values[:, i] for i, name in enumerate(self.names)}
 

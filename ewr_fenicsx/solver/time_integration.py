@@ -339,6 +339,7 @@ def integrate(
             last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
             end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
             sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
+            watch.record(last)
             if not np.all(np.abs(end) < BOUND):
                 reason = f"without bound in period {len(changes) + 1}{_RINGS if theta == UNDAMPED else ''}"
                 changes.append(np.inf)

@@ -251,6 +251,16 @@ def test_motion_without_bound_is_reported():
     assert "theta" not in integrate(problem, "rest", steps=400, periods=20, theta=0.6).reason
 
 
+@pytest.mark.parametrize(("damping", "periods"), [(-200.0, 1), (-100.0, 2)])
+def test_a_transient_goes_on_to_where_it_grows_past_all_numbers(damping, periods):
+    """The period in which that happens was missing."""
+    model = ReducedModel([[1.0]], [[damping]], [[1.0]], tangential=[[1.0]], load={1: [1.0]}, outputs={"x": [1.0]})
+    problem = pose(model, ContactLaws(normal="prescribed", normal_force=0.1))
+    result = integrate(problem, "rest", steps=400, periods=20)
+    assert result.periods == periods and result.transient("x").shape == (400 * periods + 1,)
+    assert not np.abs(result.transient("x")[-1]) < time_stepping.BOUND
+
+
 def test_histories_and_outputs_are_consistent():
     result = integrate(pose(chain_of(2)), steps=256, periods=200, tolerance=1e-8)
     slip, velocity = result.history("slip"), result.history("slip_velocity")
