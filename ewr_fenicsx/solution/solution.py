@@ -29,7 +29,9 @@ FEW_SAMPLES = 4  # a highest harmonic: up to so many, what a law makes of two ha
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 TINY = np.finfo(float).tiny
 LISTED = 8  # harmonics that are named one by one; of more, the first three and the last
-LITTLE_EXCHANGE = 1e-6  # energy gained and lost over that swinging to and fro, below which their balance is rounding
+# Energy lost over that swinging to and fro, below which nothing dissipates: what is gained is rounding, or taken by
+# truncated forces
+LITTLE_EXCHANGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,13 +125,13 @@ class PeriodicSolution(PeriodicMotion):
         if not self.converged:
             return ()
         merit, coarse = self.merit, []
-        exchanged = max(abs(merit["excitation_work"]), merit["viscous_dissipation"] + merit["friction_dissipation"])
+        dissipated = abs(merit["viscous_dissipation"]) + merit["friction_dissipation"]
         little = LITTLE_EXCHANGE * self._swinging
         normal = [laws.kinds[0] for _, laws in self.problem.groups]
         tells = self.problem.frequency and all(  # of truncation: at rest there is none
             kind.only_pushes for kind in normal if kind.acts_in(self.problem.model.tangents)
         )
-        if tells and abs(merit["energy_error"]) > COARSE_ENERGY and exchanged > little:
+        if tells and abs(merit["energy_error"]) > COARSE_ENERGY and dissipated > little:
             coarse.append(f"energies are out of balance by {merit['energy_error']:.1%}")
         if tells and self.touches and merit["tension"] > COARSE_TENSION * merit["largest_normal_force"]:
             coarse.append(f"contact pulls by up to {merit['tension']:.3g} N of {merit['largest_normal_force']:.3g} N")

@@ -306,6 +306,19 @@ def test_a_summary_says_where_truncation_is_coarse(rubbing):
     assert abs(at_rest.merit["energy_error"]) > 0.01 and at_rest.cautions == (), "contact holds all that there is"
 
 
+def test_what_dissipates_nothing_has_no_energies_to_be_out_of_balance():
+    """All the work is what truncated forces do on a springy stop, a millionth of what swings; the motion is right."""
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0]), damping=np.zeros((2, 2)), stiffness=[[4.0, -3.0], [-3.0, 3.0]],
+        normal=[[0.0, -1.0]], load={1: [1.0, 0.0], 2: [0.3j, 0.0]}, outputs={"mass": [1.0, 0.0]},
+    )  # fmt: skip
+    taps = ContactLaws(tangential="frictionless", initial_gap=0.3)
+    few, many = (solve(ContactProblem(model, taps, 0.9 / (2 * np.pi), count)) for count in (15, 40))
+    swing = np.abs([few.output("mass")[1], many.output("mass")[1]])
+    assert swing[0] == pytest.approx(swing[1], rel=1e-4)
+    assert abs(few.merit["energy_error"]) == 1 and "balance" not in few.summary()
+
+
 def test_a_summary_says_that_a_fallback_may_have_found_one_of_many(rubbing):
     fallbacks = ("cold start: fell no further", "time stepping: residual below")
     late = replace(rubbing, fallbacks=fallbacks, tell_error=None)
