@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
+from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
 
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if
@@ -18,6 +18,11 @@ _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the la
 _ALIKE = 0.5  # difference between the ways that a body goes in two periods, over the way
 _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
+# What the last periods, so many, tell of deviations that grow: differences of states above a share of the oscillation,
+# apart from each other by another, and multipliers from which on it is looked what becomes of a small one: whether it
+# grows or falls by a factor, or in the end by a little, within so many periods.
+_REMEMBERED, _TOLD, _APART, _GROWING = 12, 1e-6, 1e-3, 1.01
+_SMALL, _FAR, _GROWN, _FOLLOWED = 1e-3, 3.0, 1.1, 25
 
 
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
@@ -118,6 +123,8 @@ class Anderson:
     States are measured by their kinetic energy, positions times ``omega``: the stiffest modes ring from step to step
     and would drown the rest in an elastic norm.
 
+    Extrapolation finds motions that others leave as well as those to which they come: see ``find_growing``.
+
     Attributes:
         defect: Distance of the last period's end from its start, relative to the rms oscillation during it (where there
             is next to none, to what a change is judged by then).
@@ -132,20 +139,64 @@ class Anderson:
         self._pushed = np.linalg.norm(root * scheme.velocity_of_load) / np.sqrt(scheme.steps)
         self._ends: list[RealArray] = []
         self._residuals: list[RealArray] = []
+        self._oscillation = 1.0
         self.defect = self.distance = np.nan
 
     def extrapolate(self, start: RealArray, end: RealArray, period: Period) -> RealArray:
         """State ``(2 n',)`` from which the next period should start, from this period and the last few."""
-        self._ends = [*self._ends, end][-_WINDOW:]
-        self._residuals = [*self._residuals, self._weight * (end - start)][-_WINDOW:]
+        self._ends = [*self._ends, end][-_REMEMBERED:]
+        self._residuals = [*self._residuals, self._weight * (end - start)][-_REMEMBERED:]
         correction = np.zeros_like(end)
         if len(self._ends) > 1:
-            change = np.diff(self._residuals, axis=0).T
-            correction = -np.linalg.lstsq(change, self._residuals[-1], rcond=1e-10)[0] @ np.diff(self._ends, axis=0)
+            change, ways = (np.diff(values[-_WINDOW:], axis=0) for values in (self._residuals, self._ends))
+            correction = -np.linalg.lstsq(change.T, self._residuals[-1], rcond=1e-10)[0] @ ways
         states = np.hstack([period.positions, period.velocities]) * self._weight
         swing, still = np.sqrt(states.var(axis=0).sum()), np.sqrt(np.mean(states**2, axis=0).sum())
-        oscillation = max(swing, _STILL * still, _ROUNDED * self._pushed, np.finfo(float).tiny)
+        self._oscillation = oscillation = max(swing, _STILL * still, _ROUNDED * self._pushed, np.finfo(float).tiny)
         self.defect = float(np.linalg.norm(self._residuals[-1]) / oscillation)
         if len(self._ends) > 1:
             self.distance = float(np.linalg.norm(self._weight * correction) / oscillation)
         return end + correction
+
+    def find_growing(self) -> RealArray | None:
+        """The deviation ``(2 n',)`` that would grow most, small beside the oscillation; None where all are to decay.
+
+        As the period map has it on the space of the last states that differ enough.
+        """
+        ends, residuals = np.diff(self._ends, axis=0).T, np.diff(self._residuals, axis=0).T
+        before = self._weight[:, None] * ends - residuals
+        size = np.linalg.norm(before, axis=0)
+        differ = size > _TOLD * self._oscillation
+        if not np.any(differ):
+            return None
+        before, after = before[:, differ] / size[differ], ends[:, differ] / size[differ]
+        space, sizes, mix = np.linalg.svd(before, full_matrices=False)
+        kept = sizes > _APART * sizes[0]
+        after = after @ (mix[kept].T / sizes[kept])
+        multipliers, states = np.linalg.eig(space[:, kept].T @ (self._weight[:, None] * after))
+        most = np.argmax(np.abs(multipliers))
+        if not abs(multipliers[most]) > _GROWING:
+            return None
+        return _SMALL * self._oscillation * (after @ states[:, most].real)
+
+
+def is_left(scheme: TimeScheme, step: Callable[[RealArray, Carried], Period], last: Period, beside: RealArray) -> bool:
+    """Whether a motion that begins a little beside a steady one goes away from it.
+
+    Args:
+        scheme: The scheme.
+        step: Steps a period, from a state ``(2 n',)`` and what is carried.
+        last: The last period of the steady motion.
+        beside: The deviation, ``(2 n',)``.
+    """
+    here = np.concatenate([last.positions[-1], last.velocities[-1]])
+    energy = np.sqrt(np.maximum(np.concatenate([scheme.stiffness, scheme.mass]), 0.0))
+    pair, carried, apart = [here, here + beside], [last.carried] * 2, []
+    for _ in range(_FOLLOWED):
+        periods = [step(*each) for each in zip(pair, carried, strict=True)]
+        pair = [np.concatenate([period.positions[-1], period.velocities[-1]]) for period in periods]
+        carried = [period.carried for period in periods]
+        apart.append(np.linalg.norm(energy * (pair[1] - pair[0])))
+        if not apart[0] / _FAR < apart[-1] < apart[0] * _FAR:
+            break
+    return bool(apart[-1] > _GROWN * apart[0])

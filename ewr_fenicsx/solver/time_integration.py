@@ -12,7 +12,7 @@ import numpy as np
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.lifting import lift_out
-from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, walks_on
+from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, is_left, walks_on
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
@@ -47,6 +47,7 @@ class SteadyState:
         sweeps: Mean number of Gauss-Seidel sweeps a step.
         seconds: Wall time, compilation left out.
         transients: Name -> that output at all steps from the start, ``(periods * steps + 1,)``; empty when accelerated.
+        unstable: Whether motions that begin next to the steady one are seen to leave it; looked at when accelerated.
     """
 
     problem: ContactProblem = field(repr=False)
@@ -62,6 +63,7 @@ class SteadyState:
     sweeps: float
     seconds: float
     transients: Mapping[str, RealArray] = field(repr=False)
+    unstable: bool = False
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -76,10 +78,11 @@ class SteadyState:
     def summary(self) -> str:
         """One line for people."""
         state = "steady" if self.converged else f"NOT steady ({self.reason})" if self.asked else self.reason
+        left = "; unstable: motions next to it leave it, and show where to without acceleration" * self.unstable
         return (
             f"{self.problem.frequency:g} Hz, {self.scheme.steps} steps a period: {state} after {self.periods} periods, "
             f"change {self.changes[-1]:.1e}, distance left {self.distance:.1e}, {self.unsolved} steps unsolved, "
-            f"{self.sweeps:.0f} sweeps a step, {self.seconds:.2f} s"
+            f"{self.sweeps:.0f} sweeps a step, {self.seconds:.2f} s{left}"
         )
 
     def transient(self, name: str) -> RealArray:
@@ -302,7 +305,7 @@ def integrate(
         sweeps: Most Gauss-Seidel sweeps a step; a step that needs more is counted in ``unsolved``.
         acceleration: Start each period from Anderson's extrapolation of those before: two to ten times fewer periods
             where a lightly damped motion decays slowly, but no transient. Steadiness is judged by periods that follow
-            from one another either way.
+            from one another either way; but extrapolation may end on a motion that others leave (``unstable``).
         progress: Whether to show how many periods are done, how much the last one changed, and the time that all of
             them would take.
 
@@ -334,9 +337,10 @@ def integrate(
     sweeps_taken = unsolved = 0
     changes: list[float] = []
     follows = True  # the period starts where the last one ended
+    step = lambda state, taken: scheme.run_period(*np.split(state, 2), taken, contact_tolerance, sweeps)  # noqa: E731
     with count_progress("time stepping, periods", periods, progress) as report:
         for _ in range(periods):
-            last = scheme.run_period(*np.split(here, 2), carried, contact_tolerance, sweeps)
+            last = step(here, carried)
             end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
             sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
             watch.record(last)
@@ -366,11 +370,13 @@ def integrate(
                 reason += _RINGS
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {scheme.steps} steps missed the contact tolerance in {sweeps} sweeps"
+    steady = reason == "steady"
+    beside = anderson.find_growing() if steady and acceleration else None
     return SteadyState(
         problem=problem,
         scheme=scheme,
         last=last,
-        converged=reason == "steady",
+        converged=steady,
         asked=tolerance > 0,
         reason=reason,
         periods=len(changes),
@@ -380,4 +386,5 @@ def integrate(
         sweeps=sweeps_taken / (len(changes) * scheme.steps),
         seconds=time.perf_counter() - begin,
         transients={} if acceleration else watch.transients,
+        unstable=beside is not None and is_left(scheme, step, last, beside),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.in_time.time_stepping import State
@@ -32,3 +33,26 @@ def test_masses_behind_pairs_that_hold_are_followed_without_an_output(outputs):
     settled = integrate(problem, "rest", steps=400, periods=300)
     swing = np.ptp(solve(problem).history("normal_force", 400))
     assert settled.converged and np.ptp(settled.history("normal_force")) == pytest.approx(swing, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "factor"), [(0.2, 0.05, 0.88), (0.34, 0.5, 0.48), (0.38, 0.05, -1.59), (0.42, 0.5, -1.31)]
+)
+def test_a_motion_that_others_leave_is_found_by_extrapolation_and_told(frequency, damping, factor):
+    """A mass on a springy stop, whose deviations grow by a factor a period: steady, it was called, and no more."""
+    model = stop_oscillator(excitation=1.0, damping=damping, stop_stiffness=5.0)
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless"), frequency, 9)
+    steady = integrate(problem, "rest", steps=512, periods=100, theta=0.52, acceleration=True)
+    assert steady.converged
+    assert steady.unstable == ("unstable" in steady.summary()) == (abs(factor) > 1)
+    assert integrate(problem, "rest", steps=512, periods=150, theta=0.52).converged != steady.unstable
+
+
+def test_extrapolation_ends_on_the_branch_between_two_folds_and_says_so():
+    """Begun near it; without extrapolation the motion falls to the branch that touches no more."""
+    taps = ContactLaws(tangential="frictionless", initial_gap=1.0)
+    problem = ContactProblem(stop_oscillator(), taps, 0.16657, 9)
+    near = State(np.array([-0.97, -0.97]), np.array([0.83, 0.83]))
+    onto, away = (integrate(problem, near, 512, theta=0.52, acceleration=fast) for fast in (True, False))
+    assert onto.converged and onto.unstable and away.converged and not away.unstable
+    assert abs(onto.output("tip")[1]) > 1.2 and abs(away.output("tip")[1]) < 0.8
