@@ -29,9 +29,7 @@ FEW_SAMPLES = 4  # a highest harmonic: up to so many, what a law makes of two ha
 HIT = 1e-9  # dynamic over static stiffness that is left of a mode without damping where it is hit
 TINY = np.finfo(float).tiny
 LISTED = 8  # harmonics that are named one by one; of more, the first three and the last
-# Energy lost over that swinging to and fro, below which nothing dissipates: what is gained is rounding, or taken by
-# truncated forces
-LITTLE_EXCHANGE = 1e-6
+LITTLE_EXCHANGE = 1e-6  # energy lost over that swinging to and fro, below which any gain is rounding or truncation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
