@@ -12,6 +12,7 @@ from ewr_fenicsx.model.receptance import NormalModes, find_undamped_modes
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
 DAMPED = 0.5  # damping force over elastic force at the highest frequency, from which on a mode does not bend at once
+ROUNDED = 1e-9  # damping of a mode over the largest, below which it is rounding
 
 
 class Followed(NamedTuple):
@@ -37,7 +38,7 @@ class Followed(NamedTuple):
 
 
 def follow_modes(system: ContactSystem, reach: float) -> Followed:
-    """The modes up to an angular frequency [rad/s], and those that damping holds up below it; or all coordinates.
+    """The modes up to an angular frequency [rad/s], and those that damping holds up or feeds; or all coordinates.
 
     All where the stiffness is not positive.
     """
@@ -71,9 +72,11 @@ def follow_waves(system: ContactSystem, reach: float, waves: Iterable[int]) -> F
 
 
 def _find_followed(modes: NormalModes, damping: RealArray | ComplexArray, reach: float) -> np.ndarray:
-    """Which modes move by themselves, up to an angular frequency [rad/s]."""
-    held_up = np.abs(damping).max(axis=1, initial=0.0) * reach > DAMPED  # of shapes with unit stiffness
-    return (modes.mass * reach**2 >= modes.stiffness) | held_up
+    """Which modes move by themselves, up to an angular frequency [rad/s], or grow by themselves above it."""
+    size = np.abs(damping)
+    held_up = size.max(axis=1, initial=0.0) * reach > DAMPED  # of shapes with unit stiffness
+    fed = np.diagonal(damping).real < -ROUNDED * size.max(initial=0.0)
+    return (modes.mass * reach**2 >= modes.stiffness) | held_up | fed
 
 
 def _keep(modes: NormalModes, damping: np.ndarray, rows: np.ndarray, follows: np.ndarray) -> Followed:

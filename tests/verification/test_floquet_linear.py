@@ -99,6 +99,21 @@ def test_modes_above_the_harmonics_are_seen(ratio):
     assert found.multiplier == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.parametrize("ratio", [25.0, 35.0, 200.0])
+def test_a_linear_joint_is_unstable_however_far_above_its_harmonics_a_mode_is_fed(ratio):
+    """Flutter far above a load: along a sweep, points were called unstable only from where five harmonics came near."""
+    model = ReducedModel(
+        mass=np.eye(2),
+        damping=np.diag([0.05, -0.004 * ratio]),
+        stiffness=np.diag([2.0, ratio**2]),
+        normal=[[1.0, 0.0]],
+        load={1: [1.0, 0.0]},
+    )
+    found = solve(ContactProblem(model, ContactLaws("bonded", "frictionless"), 1 / (2 * np.pi), 5))
+    assert abs(found.multiplier) == pytest.approx(np.exp(0.002 * ratio * 2 * np.pi), rel=1e-5)
+    assert found.unstable
+
+
 def test_a_dashpot_in_line_with_a_spring_has_the_multipliers_of_a_linear_system():
     model = ReducedModel(
         mass=np.diag([1.0, 0.0, 0.0]),
