@@ -8,13 +8,12 @@ Heavy imports wait until the scene has been read, so that help and mistakes in s
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from difflib import get_close_matches
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
@@ -26,7 +25,8 @@ from rich.table import Table
 
 from ewr_fenicsx import __version__
 from ewr_fenicsx.display import add_line, note_log, share_display
-from ewr_fenicsx.errors import EwrError, UnheldBody
+from ewr_fenicsx.errors import EwrError, OptionError, UnheldBody
+from ewr_fenicsx.runs.start import settle_streams, start_petsc
 from ewr_fenicsx.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
@@ -46,11 +46,17 @@ NO_ROOM = (ENOSPC, EDQUOT)  # what the system says of a full disk
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line and returns its exit code."""
-    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
-    arguments, petsc_options = parse_arguments(argv)
-    import petsc4py
+    with settle_streams():
+        return _run_command(argv)
 
-    petsc4py.init([sys.argv[0], *petsc_options])  # before anything else imports PETSc
+
+def _run_command(argv: Sequence[str] | None) -> int:
+    arguments, petsc_options = parse_arguments(argv)
+    try:
+        start_petsc(petsc_options)  # before anything else imports it
+    except OptionError as error:  # on all ranks
+        print(f"ewr: {error}", file=sys.stderr)
+        return error.exit_code
     from mpi4py import MPI
 
     # in place of PETSc's own, which abort with a page of advice on debugging
@@ -103,6 +109,9 @@ def parse_arguments(argv: Sequence[str] | None) -> tuple[argparse.Namespace, lis
     reference = "take time stepping as the reference: slower, but independent"
     cost.add_argument("--time-stepping", action="store_true", help=reference)
     arguments, rest = parser.parse_known_args(argv)
+    for given in sys.argv[1:] if argv is None else argv:
+        if given.encode(errors="ignore").decode() != given:
+            commands.choices[arguments.command].error(f"{given!r} is not UTF-8, as dolfinx wants it; rename it")
     own = [name.replace("_", "-") for name in vars(arguments) if name not in ("command", "scene")]
     for option in rest:  # PETSc takes whatever it is given, and says nothing
         if option.startswith("-") and (meant := get_close_matches(option.strip("-").partition("=")[0], own, 1, 0.8)):
@@ -166,9 +175,11 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr info``: counts and effects, without solving."""
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.output.result_folder import read_times
+    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.scene.effects import list_effects
     from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
+    check_options()
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
@@ -199,8 +210,10 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.output.result_folder import hold_target
     from ewr_fenicsx.runs.cost_report import PICTURE, TABLE, survey_scene
+    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.structure.chain import build_chain
 
+    check_options()
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
     with hold_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE)):
         with show_progress(comm) as progress:
@@ -353,8 +366,6 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
         elif isinstance(error, OSError) and error.errno in NO_ROOM:
             message = f"ewr: {error.filename or 'the output'} cannot be written: {error.strerror}; make room"
             code = EwrError.exit_code
-            if not error.filename:
-                _drop_output()
         elif comm.size == 1:
             raise
         else:
@@ -367,12 +378,6 @@ def stop_together(comm: MPI.Comm, action: Callable[[], int]) -> int:
     if not together:
         comm.Abort(code)
     return code
-
-
-def _drop_output() -> None:
-    """Sends what is left for standard output nowhere: since Python 3.13 a flush that fails changes the exit code."""
-    with suppress(OSError):  # a stream without a file, as of a notebook, is not flushed at the end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _was_interrupted(error: BaseException) -> bool:

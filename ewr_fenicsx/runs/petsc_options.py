@@ -19,7 +19,9 @@ _KINDS = {
     "ewr_pc_type": ("lu", "qr", "svd", "none", "bjacobi", "gasm", "ilu", "jacobi", "ksp", "mat", "redundant"),
     "ewr_inexact_pc_type": ("none", "mat"),
     "ewr_snes_type": (*_NEWTON, "anderson", "fas", "ms", "ncg", "ngmres", "nrichardson", "qn"),
+    "mat_type": ("aij",),  # dolfinx asks for it; others end in PETSc's errors, or in crashes
 }
+_STEPS = "ewr_snes_max_it"
 
 
 def check_options() -> None:
@@ -37,6 +39,8 @@ def check_options() -> None:
             solver.setOptionsPrefix(prefix)
             solver.setFromOptions()
             solver.destroy()
+        for name, value in given.items():
+            _check_option(name, value)
     except PETSc.Error as error:
         shown = " ".join(f"-{name}" if value is None else f"-{name} {value}" for name, value in given.items())
         why = str(error).rstrip().splitlines()[-1].split("] ", 1)[-1]
@@ -45,8 +49,6 @@ def check_options() -> None:
         for name, value in given.items():
             options.delValue(name)
             options.setValue(name, value)
-    for name, value in given.items():
-        _check_option(name, value)
 
 
 def _check_option(name: str, value: str | None) -> None:
@@ -60,10 +62,12 @@ def _check_option(name: str, value: str | None) -> None:
     if name in _KINDS and value not in _KINDS[name]:
         known = ", ".join(_KINDS[name])
         raise OptionError(f"-{name} {value} does not work here; choose one of {known}, or leave it out")
+    if name == _STEPS and value is not None and PETSc.Options().getInt(name) < 0:
+        raise OptionError(f"-{name} {value} does not work here; give a number of Newton steps, 0 or more")
 
 
 def _list_options() -> dict[str, str | None]:
-    """Options under the package's prefixes, from wherever PETSc has them; None is no value."""
+    """Options that are looked at here, from wherever PETSc has them; None is no value."""
     options = PETSc.Options()
-    names = {name: value for name, value in options.getAll().items() if name.startswith("ewr_")}
+    names = {name: value for name, value in options.getAll().items() if name.startswith("ewr_") or name in _KINDS}
     return {name: None if value is None else options.getString(name) for name, value in names.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -208,6 +209,7 @@ def test_whoever_reads_only_the_first_lines_sees_no_error(tmp_path):
     [
         (">&-", 0, ""),
         (">/dev/full", 2, "ewr: the output cannot be written: No space left on device; make room\n"),
+        ("2>/dev/full", 0, ""),
     ],
 )
 def test_output_that_goes_nowhere(tmp_path, redirection, code, told):
@@ -216,6 +218,22 @@ def test_output_that_goes_nowhere(tmp_path, redirection, code, told):
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == code, done.stderr
     assert done.stderr.endswith(told) and "Traceback" not in done.stderr
+
+
+def test_letters_that_a_terminal_does_not_know_are_no_error(tmp_path):
+    (tmp_path / "scene.toml").write_text(f'title = "Ω"\n{write_blocks()}', encoding="utf-8")
+    command = [sys.executable, "-m", "ewr_fenicsx", "info", "scene.toml"]
+    ascii_only = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, cwd=tmp_path, env=ascii_only, capture_output=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(rb"\u03a9")
+
+
+def test_names_that_dolfinx_does_not_take_are_refused(capsys):
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(["run", "a\udcff.toml"])  # as Python reads bytes that are not UTF-8
+    assert caught.value.code == 2
+    assert r"'a\udcff.toml' is not UTF-8" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -250,6 +268,15 @@ def test_an_option_that_petsc_refuses_is_told_before_the_work(tmp_path, given, w
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+def test_options_with_which_petsc_does_not_start_are_told(tmp_path):
+    (tmp_path / "scene.toml").write_text(write_blocks())
+    command = [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml", "-options_file", "none"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 2
+    assert "Unable to open options file none" in done.stderr and "Traceback" not in done.stderr
+    assert "\newr: PETSc does not start, for the reason above; options given: -options_file none; " in done.stderr
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
@@ -259,6 +286,8 @@ def test_an_option_that_petsc_refuses_is_told_before_the_work(tmp_path, given, w
         ("-ewr_snes_monitor -ewr_pc_type gamg", "-ewr_pc_type gamg does not work here; choose one of lu, qr, "),
         ("-ewr_inexact_pc_type lu", "-ewr_inexact_pc_type lu does not work here; choose one of none, mat, or leave it"),
         ("-ewr_snes_type shell", "-ewr_snes_type shell does not work here; choose one of newtonls, newtontr, "),
+        ("-ewr_snes_max_it -5", "-ewr_snes_max_it -5 does not work here; give a number of Newton steps, 0 or more"),
+        ("-mat_type dense", "-mat_type dense does not work here; choose one of aij, or leave it out"),
     ],
 )
 def test_an_option_that_would_fail_in_the_midst_of_the_work_is_refused_before(ewr, petsc_options, given, told):

@@ -57,7 +57,7 @@ ORDER = {
         "gathering", "plots", "mesh_plots", "solid_plots", "cost_plots", "folder_lock", "result_folder", "work_folder",
         "pair_fields", "ring_plots", "output", "wear_fields",
     ],
-    "runs": ["petsc_options", "findings", "study", "cost_report"],
+    "runs": ["start", "petsc_options", "findings", "study", "cost_report"],
 }
 # fmt: on
 COMMANDS = ["cli", "__main__"]
