@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from pathlib import Path
+from traceback import walk_tb
 
 FEW = 5  # values that are listed one by one
 
@@ -91,6 +93,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name closest to an unknown one, e.g. ``'; did you mean "friction"?'``, or ``''``."""
     found = get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
     return f'; did you mean "{found[0]}"?' if found else ""
+
+
+def tell_mistake(file: Path, error: BaseException) -> str:
+    """What a user's Python file raised, and from which of its lines."""
+    lines = [line for frame, line in walk_tb(error.__traceback__) if frame.f_code.co_filename == str(file.absolute())]
+    return f"{type(error).__name__}: {error}" + (f" (line {lines[-1]})" if lines else "")
 
 
 def name_pairs(pairs: Sequence[float]) -> str:

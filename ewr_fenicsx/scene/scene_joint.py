@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, ValidationInfo, WithJsonSchema, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from ewr_fenicsx.errors import nearest
+from ewr_fenicsx.errors import nearest, tell_mistake
 from ewr_fenicsx.laws import contact_laws  # noqa: F401  registers the package's own laws
 from ewr_fenicsx.laws.law_kinds import Side, find_kind, is_own, known_laws, load_laws
 from ewr_fenicsx.laws.mean_friction import StaticFriction
@@ -100,8 +100,10 @@ class Contact(Section):
         for file in files:
             try:
                 load_laws(file)
-            except (Exception, SystemExit) as error:  # whatever the user's file does
-                what = {"file": file.name, "error": f"{type(error).__name__}: {error}"}
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # whatever the user's file does
+                what = {"file": file.name, "error": tell_mistake(file, error)}
                 raise PydanticCustomError("law_files", "{file} cannot be run: {error}", what) from error
         return files
 

@@ -24,7 +24,7 @@ import gmsh
 import numpy as np
 from mpi4py import MPI
 
-from ewr_fenicsx.errors import MeshError, nearest
+from ewr_fenicsx.errors import MeshError, nearest, tell_mistake
 from ewr_fenicsx.scene.scene_sense import hint_at_lengths
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.gmsh_inspection import inspect_model
@@ -151,8 +151,10 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
                 found = inspect_model(source)
             except MeshError as error:
                 failure = error
-            except (Exception, SystemExit) as error:  # a builder that ends this rank would leave the others waiting
-                failure = MeshError(f"{source}: {type(error).__name__}: {error}")
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # a builder that ends this rank would leave the others waiting
+                failure = MeshError(f"{source}: {tell_mistake(source, error)}")
                 failure.__cause__ = error
         message, found = comm.bcast((str(failure) if failure else None, found))
         if message is not None:
@@ -220,7 +222,8 @@ def _refuse_endless_meshes(source: Path, size: object) -> Iterator[None]:
 def load_builder(source: Path) -> Iterator[ModuleType]:
     """A builder as a module: it may import files beside it, as a script may, and nothing of it stays loaded.
 
-    No bytecode is written: the folder is the user's.
+    Modules of their names that the program has from elsewhere are put aside meanwhile. No bytecode is written: the
+    folder is the user's.
 
     Raises:
         Exception: What the file raises when it is run.
@@ -231,6 +234,8 @@ def load_builder(source: Path) -> Iterator[ModuleType]:
     module = importlib.util.module_from_spec(specification)
     sys.path.insert(0, str(source.parent.resolve()))
     sys.dont_write_bytecode = True
+    namesakes = _find_namesakes(source.parent.resolve())
+    aside = {loaded: sys.modules.pop(loaded) for loaded in known if loaded.partition(".")[0] in namesakes}
     sys.modules[name] = module  # dataclasses look up the module that defines them
     importlib.invalidate_caches()
     try:
@@ -242,7 +247,18 @@ def load_builder(source: Path) -> Iterator[ModuleType]:
             found = importlib.machinery.PathFinder.find_spec(loaded.partition(".")[0], folders)
             if loaded == name or (found and found.has_location):
                 del sys.modules[loaded]
+        sys.modules.update(aside)
         sys.path[:], sys.dont_write_bytecode = path, mute
+
+
+def _find_namesakes(folder: Path) -> set[str]:
+    """Names of loaded modules that a folder has others of; not Python's own, nor installed ones, nor this package."""
+    names = {path.stem for path in folder.glob("*.py")} | {path.parent.name for path in folder.glob("*/__init__.py")}
+    loaded = names.intersection(sys.modules) - sys.stdlib_module_names - {"__main__", __name__.partition(".")[0]}
+    homes = {name: Path(getattr(sys.modules[name], "__file__", None) or "/").resolve() for name in loaded}
+    installed = {name for name, at in homes.items() if {"site-packages", "dist-packages"}.intersection(at.parts)}
+    own = {name for name, at in homes.items() if at in (folder / f"{name}.py", folder / name / "__init__.py")}
+    return loaded - installed - own
 
 
 def _check_parameters(source: Path, build: Callable, parameters: Mapping[str, object]) -> None:

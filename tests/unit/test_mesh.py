@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from types import ModuleType
 
 import gmsh
 import pytest
@@ -302,7 +303,7 @@ def test_wrong_parameters_are_named(squares, parameters, words):
             "cells are of type Quadrilateral 8; expected first order, or complete second order",
         ),
         ("pass", "gmsh.model.mesh.setOrder(3)", "cells are of type Quadrilateral 16; expected first order"),
-        ("nonsense", "pass", r"squares\.py: NameError: name 'nonsense' is not defined"),
+        ("nonsense", "pass", r"squares\.py: NameError: name 'nonsense' is not defined \(line [0-9]+\)"),
         ("gmsh.model.getEntitiesForPhysicalGroup(2, 99)", "pass", r"squares\.py: Exception: "),
     ],
 )
@@ -332,7 +333,12 @@ EMPTY_MESH = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNode
         ("demanding.py", "def build(*, size: float):\n    pass", r"demanding\.py: parameter size has no default"),
         ("rubbish.msh", "rubbish\n", r"rubbish\.msh: "),
         ("idle.py", "def build():\n    pass", r"idle\.py: the model has no mesh of surfaces; does the builder call"),
-        ("leaving.py", "import sys\ndef build():\n    sys.exit('no licence')", r"leaving\.py: SystemExit: no licence"),
+        (
+            "leaving.py",
+            "import sys\ndef build():\n    sys.exit('no licence')",
+            r"leaving\.py: SystemExit: no licence \(line 3\)",
+        ),
+        ("stopping.py", "def build():\n    raise BaseException('no')", r"stopping\.py: BaseException: no \(line 2\)"),
         (
             "ended.py",
             "import gmsh\ndef build():\n    gmsh.finalize()",
@@ -367,6 +373,18 @@ def test_builder_may_import_files_beside_it(squares, tmp_path, monkeypatch):
     assert sys.path == path
     assert not {"sizes", "shared", "shared.numbers"} & (set(sys.modules) - loaded)
     assert sys.dont_write_bytecode is False
+
+
+def test_a_builder_gets_its_neighbours_where_the_program_has_others_of_their_names(squares, tmp_path, monkeypatch):
+    (tmp_path / "sizes.py").write_text("CELLS = 3\n")
+    builder = squares()
+    text = builder.read_text().replace("build(*, cells: int = 4", "build(*, cells=sizes.CELLS")
+    builder.write_text("import sizes\n" + text)
+    own = ModuleType("sizes")
+    own.CELLS = 5
+    monkeypatch.setitem(sys.modules, "sizes", own)
+    assert count(build(builder))["cells"] == 2 * 3**2
+    assert sys.modules["sizes"] is own
 
 
 def test_mesh_file_takes_no_parameters(squares, tmp_path):

@@ -332,7 +332,7 @@ def test_scenes_may_bring_laws_of_their_own(read, tmp_path):
     [
         ("tangential = 'coulombe'", r"contact\.tangential = 'coulombe': should be one of .*did you mean \"coulomb\""),
         ("law_files = ['nowhere.py']", r"nowhere\.py cannot be run: FileNotFoundError"),
-        ("law_files = ['broken.py']", r"broken\.py cannot be run: ZeroDivisionError: division by zero"),
+        ("law_files = ['broken.py']", r"broken\.py cannot be run: ZeroDivisionError: division by zero \(line 1\)"),
         ("law_files = ['leaves.py']", r"leaves\.py cannot be run: SystemExit: 5"),
     ],
 )
