@@ -13,8 +13,11 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import resource
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import dolfinx
 import numpy as np
@@ -241,14 +244,36 @@ class _Interior:
 
 
 def _check_memory(rows: int, columns: int, pairs: int) -> None:
-    """That basis ``(rows, columns)`` and reduced matrices could fit into this machine at all, before hours of work."""
+    """That basis ``(rows, columns)`` and reduced matrices could fit into memory at all, before hours of work."""
     needed = 8 * columns * (rows + 3 * columns)
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    memory = find_memory(Path("/"))
     if needed > memory:
         raise InterfaceError(
             f"{pairs} pairs on {rows} degrees of freedom a rank: the reduction alone needs {needed / 1e9:.3g} GB, and "
-            f"this machine has {memory / 1e9:.3g} GB; take fewer pairs or modes, or a larger mesh_size"
+            f"it may have {memory / 1e9:.3g} GB here; take fewer pairs or modes, or a larger mesh_size"
         )
+
+
+def find_memory(root: Path) -> float:
+    """Bytes that this process may have: what the machine has, or less in a container, in a job or by ``ulimit -v``.
+
+    Args:
+        root: Of the file system, where Linux tells the limits of control groups, in either of their two versions.
+    """
+    sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    soft = resource.getrlimit(resource.RLIMIT_AS)[0]
+    sizes += [] if soft == resource.RLIM_INFINITY else [soft]
+    files = {"": ("sys/fs/cgroup", "memory.max"), "memory": ("sys/fs/cgroup/memory", "memory.limit_in_bytes")}
+    with suppress(OSError):  # no Linux
+        for line in (root / "proc/self/cgroup").read_text().splitlines():
+            _, controller, group = line.split(":", 2)
+            if controller in files:
+                place, name = files[controller]
+                own = Path(group.strip("/"))
+                for at in (own, *own.parents):  # a group has no more than those around it
+                    with suppress(OSError, ValueError):  # not to be seen from a container; "max"
+                        sizes.append(int((root / place / at / name).read_text()))
+    return min(sizes)
 
 
 def _cut_interior(structure: Structure, boundary: np.ndarray) -> _Interior:

@@ -29,7 +29,7 @@ from ewr_fenicsx.structure.elasticity import BoundaryForce, OutputSpec, assemble
 from ewr_fenicsx.structure.interface import pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM, PerMode, Rayleigh, RayleighRatios
 from ewr_fenicsx.structure.mesh import build_mesh
-from ewr_fenicsx.structure.reduction import _residual_vectors, keep_more_modes, reduce_structure
+from ewr_fenicsx.structure.reduction import _residual_vectors, find_memory, keep_more_modes, reduce_structure
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 STACKS = Path(__file__).parents[1] / "geometry" / "stacks.py"
@@ -407,8 +407,23 @@ def test_the_basis_is_in_memory_but_once_and_reducing_again_takes_no_more():
 def test_a_reduction_that_no_memory_holds_is_refused_at_once(monkeypatch):
     structure, interface = assemble(FIR_TREE)
     monkeypatch.setattr("ewr_fenicsx.structure.reduction.os.sysconf", lambda name: 1000)
-    with pytest.raises(InterfaceError, match=r"40 pairs on .* needs 0\.00[0-9]+ GB, and this machine has 0\.001 GB"):
+    with pytest.raises(InterfaceError, match=r"40 pairs on .* needs 0\.00[0-9]+ GB, and it may have 0\.001 GB here"):
         reduce_structure(structure, interface)
+
+
+@pytest.mark.parametrize(
+    ("group", "file"),
+    [("0::/job/step", "job/memory.max"), ("4:memory:/job/step", "memory/job/memory.limit_in_bytes")],
+)
+def test_memory_is_what_the_control_groups_of_a_container_or_job_leave(tmp_path, group, file):
+    (tmp_path / "proc" / "self").mkdir(parents=True)
+    (tmp_path / "proc" / "self" / "cgroup").write_text(f"9:name=systemd:/\n{group}\n")
+    whole = find_memory(tmp_path)
+    limit = tmp_path / "sys" / "fs" / "cgroup" / file
+    (limit.parent / "step").mkdir(parents=True)
+    (limit.parent / "step" / limit.name).write_text("max\n")
+    limit.write_text("4096000\n")
+    assert find_memory(tmp_path) == 4096000 < whole
 
 
 def test_the_error_by_modes_is_that_of_a_reduction_with_fewer(tmp_path):
