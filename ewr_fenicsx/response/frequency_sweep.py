@@ -198,8 +198,10 @@ def refine_response(
     found = refine_points(
         problem, points, accuracy, tolerance, modes=modes, folder=folder, comm=comm, progress=progress
     )
+    before = [f.levels for f in curve.accurate] or [()] * len(points)  # of a curve that is refined again
+    found = [replace(f, levels=f.levels and levels + f.levels) for f, levels in zip(found, before, strict=True)]
     found, jumps = join_points(points, found, frequencies, tolerance)
-    jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]  # of a curve that is refined again
+    jumps = [*curve.jumps, *(jump for jump in jumps if jump not in curve.jumps)]
     solutions = tuple(f.solution for f in found)
     return FrequencyResponse(solutions, tuple(jumps), find_missing(frequencies, solutions), tuple(found), progress)
 

@@ -196,6 +196,14 @@ def test_a_curve_that_is_refined_again_tells_its_jumps_once(monkeypatch):
         assert curve.jumps == (jump,)
 
 
+def test_a_curve_that_is_refined_again_counts_all_its_solves():
+    curve = sweep(accuracy=0.1)
+    again = frequency_sweep.refine_response(curve, curve.solutions[0].problem, curve.frequencies, 0.1)
+    for before, after in zip(curve.accurate, again.accurate, strict=True):
+        assert after.levels[: len(before.levels)] == before.levels
+        assert len(after.levels) > len(before.levels)
+
+
 def test_accurate_curves_are_kept_in_files(curve, folder):
     """Forces of solutions with different harmonics in one array; each has its own rows."""
     with h5py.File(folder / "frequency_response.h5") as file:

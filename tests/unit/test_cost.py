@@ -54,6 +54,12 @@ def test_errors_are_relative(truth):
     assert errors["deepest wear"] == pytest.approx(0.0201)
 
 
+def test_the_rms_is_that_of_all_outputs(truth):
+    both = replace(truth, output=np.column_stack([truth.output, truth.output]))
+    second = replace(both, output=both.output * [1.0, 1.5])
+    assert compare_figures(second, both)["rms"] == pytest.approx(np.sqrt((1 + 1.5**2) / 2) - 1)
+
+
 def test_a_phase_error_shows_in_the_response_and_not_in_its_rms(truth):
     turned = replace(truth, output=truth.output * np.exp(0.02j))
     errors = compare_figures(turned, truth)
