@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,6 +95,9 @@ def _holds_work(folder: Path) -> bool:
 def _remove(folder: Path) -> None:
     if (folder / MODEL).is_file():
         shutil.rmtree(folder, ignore_errors=True)
+    else:
+        with suppress(OSError):  # it is not empty, or not there
+            folder.rmdir()
 
 
 def _take_up(folder: Path, model: ReducedModel, own: str, ranks: int) -> ReducedModel | None:

@@ -80,7 +80,8 @@ def _explain_one(detail: Mapping[str, Any], data: Any, sections: Mapping[str, An
     if no_table and len(loc) > 1 and typing.get_origin(sections[loc[0]].annotation) is dict:  # such as loads
         strays = [key for key, entry in data[loc[0]].items() if not isinstance(entry, Mapping)]
         if loc[1] in strays and not _lists_tables(data[loc[0]][loc[1]]):
-            return f"[{loc[0]}]", f'"{strays[0]}" stands in no table with a name; write [{loc[0]}.NAME] above it'
+            name = "BODY" if loc[0] == "materials" else "NAME"
+            return f"[{loc[0]}]", f'"{strays[0]}" stands in no table with a name; write [{loc[0]}.{name}] above it'
     path: list[str] = []
     for step in loc:
         # pydantic's location also holds the names of alternatives ("kind=force", "int"), which no user wrote

@@ -172,7 +172,11 @@ def test_fields_without_room_are_not_begun(ewr, scene, tmp_path, monkeypatch):
     assert re.search(rf"ewr: cannot write results: .*\.xdmf: {line}0\.\d needed; make room", told.splitlines()[-1])
 
 
-def test_a_disk_that_is_full_at_once_is_told_by_the_folder(ewr, scene, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("place", "name", "told_of"),
+    [(Path, "write_text", "cannot write results: {}"), (os, "fsync", "{}/reduced_model.h5 cannot be written")],
+)
+def test_a_disk_that_is_full_at_once_is_told_by_the_folder(ewr, scene, tmp_path, monkeypatch, place, name, told_of):
     """A write that fails, unlike an open that does, comes without the name of its file."""
     scene.write_text(STUDIES["wear"][0])
 
@@ -180,11 +184,11 @@ def test_a_disk_that_is_full_at_once_is_told_by_the_folder(ewr, scene, tmp_path,
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", refuse)
+        patch.setattr(place, name, refuse)
         code, told = ewr()
-    place = tmp_path / "broken.partial"
     assert code == 2
-    assert told.splitlines()[-1].startswith(f"ewr: cannot write results: {place}: No space left on device; make room")
+    words = f"ewr: {told_of.format(tmp_path / 'broken.partial')}: No space left on device; "
+    assert told.splitlines()[-1].startswith(words) and "make room" in told
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 

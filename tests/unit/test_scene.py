@@ -43,7 +43,7 @@ def test_short_scene_has_the_documented_defaults(read, tmp_path):
         ("[contact]\ntolerance = 1e-5", r'it belongs to \[solver\], or did you mean "pair_tolerance"\?$'),
         (
             "[materials]\nyoung = 1e11",
-            r'\[materials\]: "young" stands in no table with a name; write \[materials\.NAME\] above',
+            r'\[materials\]: "young" stands in no table with a name; write \[materials\.BODY\] above',
         ),
         (
             "[outputs]\nboundary = 'tip'\ndirection = [1, 0]",
