@@ -15,6 +15,7 @@ RealArray = np.ndarray
 ComplexArray = np.ndarray
 
 _SYMMETRY = 1e-8  # largest asymmetry accepted, relative to the largest entry
+_ROUNDED = 1e-15  # times the number of coordinates, of the largest entry: what rounding leaves of one that is zero
 
 
 def read_numbers(name: str, value: object, kind: type = float, remedy: str = "give real numbers") -> np.ndarray:
@@ -56,12 +57,22 @@ def check_symmetry(name: str, matrix: RealArray) -> None:
     """That a matrix is symmetric.
 
     Raises:
-        ModelError: It is not.
+        ModelError: It is not, or an entry that is more than rounding has none opposite.
     """
-    asymmetry = np.abs(matrix - matrix.T).max()
-    if asymmetry > _SYMMETRY * np.abs(matrix).max():
+    asymmetry, largest = np.abs(matrix - matrix.T).max(), np.abs(matrix).max()
+    if asymmetry > _SYMMETRY * largest:
         raise ModelError(
             f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
+        )
+    # where units are unlike, all of a triangle may be small beside the largest entry
+    own = np.sqrt(np.abs(np.diag(matrix)))
+    rounding = np.maximum(_SYMMETRY * np.outer(own, own), _ROUNDED * len(matrix) * largest)
+    alone = (np.abs(matrix) > rounding) & (matrix.T == 0)
+    if np.any(alone):
+        i, j = np.argwhere(alone)[0]
+        raise ModelError(
+            f"{name} is not symmetric: {name}[{i}, {j}] = {matrix[i, j]:g}, and {name}[{j}, {i}] = 0; give both "
+            "triangles"
         )
 
 

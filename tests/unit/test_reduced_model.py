@@ -32,6 +32,10 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         ({"stiffness": [[1.0, np.nan], [np.nan, 1.0]]}, "stiffness has entries that are not finite"),
         ({"mass": SKEW}, "mass is not symmetric: largest difference 0.5; symmetrise it or check its assembly"),
         ({"stiffness": SKEW}, "stiffness is not symmetric: largest difference 0.5"),
+        (
+            {"stiffness": [[1e9, 0.0], [0.5, 1e-3]]},
+            r"stiffness is not symmetric: stiffness\[1, 0\] = 0.5, and stiffness\[0, 1\] = 0; give both triangles",
+        ),
         ({"stiffness": -np.eye(2)}, "stiffness is not positive semidefinite: scaled eigenvalue -1"),
         ({"mass": -np.eye(2)}, "mass is not positive semidefinite: scaled eigenvalue -1; check its sign"),
         ({"mass": [[1.0, 2e-5], [2e-5, 1e-10]]}, "mass is not positive semidefinite: scaled eigenvalue -0.0289"),
