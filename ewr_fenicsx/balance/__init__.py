@@ -1,1 +1,1 @@
-"""The weighted residual of a contact system: its value, its derivative and the steps of Newton's method."""
+"""The weighted residual of a contact system: its value, its derivative, Newton's steps, and the motion found."""

@@ -26,9 +26,9 @@ import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes
-from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 
 if TYPE_CHECKING:
@@ -144,14 +144,10 @@ class Slopes:
         return Slopes(tuple(held), self.is_steady)
 
 
-def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> Slopes | None:
+def differentiate_along(motion: PeriodicMotion) -> Slopes | None:
     """Derivatives of all laws along the motion in time that begins on a solution, over ``PERIODS`` after a first one.
 
     That motion opens, closes and slips where the laws have it, not where a truncated series does.
-
-    Args:
-        problem: What was solved.
-        coordinates: Its solution's amplitudes ``(n_h, n)``.
 
     Returns:
         None where the motion grows beyond all bounds.
@@ -160,8 +156,8 @@ def differentiate_along(problem: ContactProblem, coordinates: ComplexArray) -> S
         ModelError: Time stepping does not know the laws, or takes too few steps for the harmonics.
         ImportError: There is no compiler for it.
     """
-    balance, along = HarmonicBalance(problem.system, 1.0), []
-    for scheme, period in islice(step_from(problem, coordinates, STEPS_IN_TIME, THETA), 1 + PERIODS):
+    balance, along = HarmonicBalance(motion.problem.system, 1.0), []
+    for scheme, period in islice(step_from(motion, STEPS_IN_TIME, THETA), 1 + PERIODS):
         along.append(_differentiate_period(balance, scheme, period))
     if len(along) <= PERIODS:
         return None
@@ -184,11 +180,11 @@ class Course(NamedTuple):
     motion: ComplexArray
 
 
-def watch_course(problem: ContactProblem, coordinates: ComplexArray, periods: int) -> Course | None:
+def watch_course(motion: PeriodicMotion, periods: int) -> Course | None:
     """How the motion in time that begins on a solution changes, and where it is after so many periods.
 
     Args:
-        problem, coordinates: As in ``differentiate_along``.
+        motion: The solution.
         periods: How many are stepped.
 
     Returns:
@@ -197,7 +193,7 @@ def watch_course(problem: ContactProblem, coordinates: ComplexArray, periods: in
     Raises:
         ModelError, ImportError: As ``differentiate_along``.
     """
-    stepped = islice(step_from(problem, coordinates, FINE_STEPS, FINE_THETA), periods)
+    stepped = islice(step_from(motion, FINE_STEPS, FINE_THETA), periods)
     scheme, first = next(stepped, (None, None))
     last, changes = first, []
     for _, period in stepped:
@@ -207,19 +203,17 @@ def watch_course(problem: ContactProblem, coordinates: ComplexArray, periods: in
         return None
     distance = np.linalg.norm(last.positions - first.positions)
     swing = max(np.linalg.norm(last.positions - last.positions.mean(axis=0)), np.finfo(float).tiny)
-    amplitudes = scheme.contact_amplitudes(last, problem.basis.orders)
+    amplitudes = scheme.contact_amplitudes(last, motion.orders)
     return Course(np.array(changes) / swing, float(distance / swing), *amplitudes)
 
 
-def step_from(
-    problem: ContactProblem, coordinates: ComplexArray, steps: int, theta: float
-) -> Iterator[tuple[TimeScheme, Period]]:
+def step_from(motion: PeriodicMotion, steps: int, theta: float) -> Iterator[tuple[TimeScheme, Period]]:
     """The motion in time that begins on a solution, period by period, within bounds."""
     from ewr_fenicsx.in_time.lifting import lift_out  # both only for those whose deviations grow
     from ewr_fenicsx.in_time.time_stepping import BOUND, State, TimeScheme
 
-    scheme = TimeScheme(problem, steps, theta)
-    position, velocity, carried = scheme.begin(lift_out(scheme, State.of(problem, coordinates)))
+    scheme = TimeScheme(motion.problem, steps, theta)
+    position, velocity, carried = scheme.begin(lift_out(scheme, State.of(motion.problem, motion.coordinates)))
     while True:
         period = scheme.run_period(position, velocity, carried, CONTACT_TOLERANCE, SWEEPS)
         if not np.all(np.abs(period.positions) < BOUND):
@@ -254,9 +248,9 @@ class Monodromy(NamedTuple):
     modes: int
 
 
-def differentiate_laws(system: ContactSystem, forces: ComplexArray, rigid: RealArray, samples: int) -> Slopes | None:
+def differentiate_laws(motion: PeriodicMotion, samples: int) -> Slopes | None:
     """Derivatives of all laws at a solution; None where one is by something else than ``VARIABLES``, or remembers."""
-    balance, unknowns = pose_at(system.sample(samples), forces, rigid)
+    balance, unknowns = pose_at(motion.problem.system.sample(samples), motion.forces, motion.rigid)
     return Slopes.of(balance.linearise(unknowns).derivatives, balance.rows)
 
 

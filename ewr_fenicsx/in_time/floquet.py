@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import pose_at
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.deviations import (
@@ -66,52 +66,47 @@ AT_ONCE, FASTEST = 1e-6, 100.0  # angular frequency over an exponent that counts
 SLOW = 1e-4  # exponent over the angular frequency that stands for none: at none, what sticks throughout is neutral
 
 
-def find_growth(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> complex:
+def find_growth(motion: PeriodicMotion) -> complex:
     """The largest Floquet multiplier beyond the unit circle.
 
     Args:
-        problem: What was solved, with a closure that does not remember.
-        forces: Its solution's contact forces ``(n_h, m)`` [N].
-        rigid: Its rigid coordinates ``(r,)`` [m].
-        coordinates: Its amplitudes ``(n_h, n)``.
+        motion: A solution, with a closure that does not remember.
 
     Returns:
         The one of a pair with positive imaginary part; 0 where none is seen, where too many rows change status to look,
         where a law remembers, where redundant pairs share their forces in any way, at rest: there is no period; and of
         a sector of a ring, whose neighbours may deviate in any way.
     """
-    system = problem.system
+    system = motion.problem.system
     top, rows = system.basis.orders[-1], system.rows.shape[0]
     if not top or system.model.cyclic:
         return 0.0
     if not rows:
         return find_linear_growth(system)
-    slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
+    slopes = differentiate_laws(motion, max(system.basis.samples, SAMPLES))
     if slopes is not None and not slopes.changing.size:
         slopes = slopes.treat_all_as_changing()
     if slopes is None or count_harmonics(system, slopes) < min(top, FEWEST):
         return 0.0
     try:
-        guesses = guess_exponents(system, forces, rigid, DOUBTFUL if is_small(system, slopes) else GROWTH)
+        guesses = guess_exponents(motion, DOUBTFUL if is_small(system, slopes) else GROWTH)
         found = max((refine(system, slopes, guess) for guess in guesses), key=abs, default=0.0)
-        return found if found and is_borne_out(problem, forces, rigid, coordinates) else 0.0
+        return found if found and is_borne_out(motion) else 0.0
     except np.linalg.LinAlgError:
         return 0.0
 
 
-def list_unfollowed(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> dict[str, list[str]]:
+def list_unfollowed(motion: PeriodicMotion) -> dict[str, list[str]]:
     """For want of what the largest multiplier is not looked for: law's name -> variables that it sees, or "its past".
 
     Empty where no law sees any, and where no row changes status over the period, as at rest.
-
-    Args:
-        system, forces, rigid: As in ``find_growth``.
     """
-    balance, unknowns = pose_at(system, forces, rigid)
+    balance, unknowns = motion.pose()
     derivatives = balance.linearise(unknowns).derivatives
     if not any(np.any(d.changes) for d in derivatives):
         return {}
-    owners = {row: type(law).__name__ for law, rows in zip(system.laws, balance.law_rows, strict=True) for row in rows}
+    owned = zip(balance.system.laws, balance.law_rows, strict=True)
+    owners = {row: type(law).__name__ for law, rows in owned for row in rows}
     unfollowed: dict[str, set[str]] = {}
     for d in derivatives:
         if not is_followed(d):
@@ -137,34 +132,27 @@ def find_fastest(modes: Followed, omega: float) -> complex:
     return complex(min(fastest.real, FASTEST), fastest.imag)
 
 
-def is_borne_out(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
-    """Whether deviations grow along the motion in time that begins on a solution, or its series where none is stepped.
-
-    Args:
-        problem, forces, rigid, coordinates: As in ``find_growth``.
-    """
+def is_borne_out(motion: PeriodicMotion) -> bool:
+    """Whether deviations grow along the motion in time that begins on a solution; if none is stepped, its series."""
     try:
-        slopes, periods = differentiate_along(problem, coordinates), PERIODS
+        slopes, periods = differentiate_along(motion), PERIODS
     except (ModelError, ImportError):
-        slopes, periods = differentiate_laws(problem.system, forces, rigid, 2 * STEPS[0]), 1
+        slopes, periods = differentiate_laws(motion, 2 * STEPS[0]), 1
     if slopes is None:
         return True
     sliding = slopes.slide_through_turns(TURN)
-    return measure_growth(step_deviations(problem.system, sliding, periods).matrix) > BORNE_OUT**periods
+    return measure_growth(step_deviations(motion.problem.system, sliding, periods).matrix) > BORNE_OUT**periods
 
 
-def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coordinates: ComplexArray) -> bool:
+def settles(motion: PeriodicMotion) -> bool:
     """Whether the motion in time that begins on a solution comes to repeat itself, and is the one that it stands for.
 
     Nothing then leaves it, whatever truncated series say of pairs that lift off. It begins as far from the motion
     without truncation as the solution is: what grows by two percent a period has grown fivefold in the end. False where
     it cannot be stepped, and where what it comes to has another solution of as many harmonics: a branch near by.
-
-    Args:
-        problem, forces, rigid, coordinates: As in ``find_growth``.
     """
     try:
-        course = watch_course(problem, coordinates, SETTLING)
+        course = watch_course(motion, SETTLING)
     except (ModelError, ImportError):
         return False
     if course is None:
@@ -172,13 +160,13 @@ def settles(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, coo
     changes, first, last = course.changes, course.changes[:5].max(), course.changes[-1]
     fallen = last < FALLEN * first and last < max(ABOVE_LEAST * changes.min(), NOTHING * first)
     beside = fallen and last < STEADY and changes.max() < RISEN * first and AT_ONE < course.distance < NEAR
-    return bool(beside) and not leads_elsewhere(problem, forces, rigid, course)
+    return bool(beside) and not leads_elsewhere(motion, course)
 
 
-def leads_elsewhere(problem: ContactProblem, forces: ComplexArray, rigid: RealArray, course: Course) -> bool:
+def leads_elsewhere(motion: PeriodicMotion, course: Course) -> bool:
     """Whether Newton's method finds another solution than this one from where a motion in time has come to."""
-    balance, here = pose_at(problem.system, forces, rigid)
-    begin = balance.pack(course.forces, rigid)
+    balance, here = motion.pose()
+    begin = balance.pack(course.forces, motion.rigid)
     found, _ = balance.take_whole_steps(begin, NEWTON_STEPS, balance.within(SOLVED), course.motion)
     # where none is found, nothing is known
     return found is not None and bool(np.linalg.norm(found - here) > ELSEWHERE * np.linalg.norm(here))
@@ -189,7 +177,7 @@ def measure_growth(whole: RealArray) -> float:
     return float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.all(np.isfinite(whole)) else np.inf
 
 
-def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArray, least: float) -> ComplexArray:
+def guess_exponents(motion: PeriodicMotion, least: float) -> ComplexArray:
     """Exponents [1/s] of the multipliers that stepping sees beyond the unit circle, few, one of each pair.
 
     A mass that rubs sticks for some samples where it turns, and deviations of its velocity would be lost there, while
@@ -197,11 +185,12 @@ def guess_exponents(system: ContactSystem, forces: ComplexArray, rigid: RealArra
     is no longer than a period of the highest harmonic.
 
     Args:
-        system, forces, rigid: As in ``find_growth``.
+        motion: As in ``find_growth``.
         least: Multiplier from which on the largest is given where none is beyond the circle.
     """
+    system = motion.problem.system
     for steps in STEPS:
-        slopes = differentiate_laws(system, forces, rigid, 2 * steps)
+        slopes = differentiate_laws(motion, 2 * steps)
         stepped = step_deviations(system, slopes)
         if measure_growth(stepped.matrix) < TRUSTED:
             break
@@ -245,22 +234,19 @@ def count_harmonics(system: ContactSystem, slopes: Slopes) -> int:
     return min(max(system.basis.orders[-1], FEWEST), (MOST_UNKNOWNS // slopes.changing.size - 1) // 2)
 
 
-def grows(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool | None:
+def grows(motion: PeriodicMotion) -> bool | None:
     """Whether an odd number of real Floquet multipliers are above one: Hill's determinant is negative there.
 
     The Jacobian of the balance tells as much where every force follows from the motion. Mean friction does not: what
     sets it (``static_friction``) turns the sign where friction is strong enough to wedge, without any motion leaving.
-
-    Args:
-        system: What was solved.
-        forces, rigid: As in ``find_growth``.
 
     Of a sector of a ring the deviations are those in which all sectors move alike, each harmonic in its wave.
 
     Returns:
         None where a law remembers, where rounding decides, and of a ring whose stiffness is not positive.
     """
-    slopes = differentiate_laws(system, forces, rigid, system.basis.samples)
+    system = motion.problem.system
+    slopes = differentiate_laws(motion, system.basis.samples)
     if slopes is None:
         return None
     top, omega, modes = system.basis.orders[-1], system.compliance.omega, None

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.in_time.deviations import Slopes, differentiate_laws
 from ewr_fenicsx.in_time.floquet import FEWEST, GROWTH, SAMPLES, find_fastest
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_waves
@@ -39,21 +39,17 @@ class RingGrowth(NamedTuple):
     diameters: int
 
 
-def find_ring_growth(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> RingGrowth | None:
-    """The deviation from a wave round a ring of sectors that grows most, or falls least.
-
-    Args:
-        system: What was solved, of a sector of a ring.
-        forces: Its solution's contact forces ``(n_h, m)`` [N].
-        rigid: Its rigid coordinates ``(r,)`` [m].
+def find_ring_growth(motion: PeriodicMotion) -> RingGrowth | None:
+    """The deviation from a wave round a ring of sectors that grows most, or falls least; of a sector's solution.
 
     Returns:
         None where it is not looked at: it takes long, a law remembers, the stiffness is not positive, or redundant
         pairs share their forces in any way; and where all that is found is cut off at the highest harmonics.
     """
+    system = motion.problem.system
     if not len(system.rows):
         return _find_linear_growth(system)
-    slopes = differentiate_laws(system, forces, rigid, max(system.basis.samples, SAMPLES))
+    slopes = differentiate_laws(motion, max(system.basis.samples, SAMPLES))
     if slopes is None:
         return None
     if not slopes.changing.size:

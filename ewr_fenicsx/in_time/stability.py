@@ -21,8 +21,9 @@ import scipy.linalg
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.balance.law_derivatives import Derivative
 from ewr_fenicsx.balance.newton_step import NewtonStep
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.model.compliance import condense
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
@@ -51,24 +52,20 @@ def find_side(balance: HarmonicBalance, unknowns: RealArray) -> int:
     return find_sign(balance.linearise(unknowns).matrix()) * (-1) ** balance.rigid
 
 
-def alternates(system: ContactSystem, forces: ComplexArray, rigid: RealArray) -> bool:
-    """Whether an odd number of real Floquet multipliers are below minus one.
-
-    Args:
-        system: What was solved, with a row at least.
-        forces: Its solution's contact forces ``(n_h, m)`` [N].
-        rigid: Its rigid coordinates ``(r,)`` [m].
+def alternates(motion: PeriodicMotion) -> bool:
+    """Whether an odd number of real Floquet multipliers are below minus one, of a solution with a row at least.
 
     Returns:
         False also where one harmonic alone has too many unknowns to look, where there is none, where one in between
         hits an undamped mode exactly, and of a sector of a ring.
     """
-    count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * forces.shape[1]))
+    system = motion.problem.system
+    count = min(system.basis.orders[-1], MOST_UNKNOWNS // (2 * motion.forces.shape[1]))
     if not count or system.model.cyclic:
         return False
     times = -(-SAMPLES * system.basis.orders[-1] // system.basis.samples)
     system = system.sample(times * system.basis.samples)  # its own are among them
-    solved, unknowns = pose_at(system, forces, rigid)
+    solved, unknowns = pose_at(system, motion.forces, motion.rigid)
     try:
         between = HarmonicBalance(see_between(system, count), solved.force_unit)
     except ModelError:

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
 from ewr_fenicsx.laws.law_kinds import TANGENTS, choose_friction_weight
-from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.law_claims import read_fields
 
@@ -73,31 +73,26 @@ def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     return bool(left.max() > noticed * largest)
 
 
-def watch_walk(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray) -> Walk | None:
-    """How a body that hangs on friction goes on in time, some periods after it begins on a solution.
-
-    Args:
-        problem: What was solved.
-        balance: Its balance.
-        coordinates: The solution's amplitudes ``(n_h, n)``.
+def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance) -> Walk | None:
+    """How a body that hangs on friction goes on in time, some periods after it begins on a solution of a balance.
 
     Returns:
         None where its motion cannot be stepped, or has not settled to a walk or none.
     """
-    steps, walk = STEPS_IN_TIME, _watch(problem, balance, coordinates, STEPS_IN_TIME)
+    steps, walk = STEPS_IN_TIME, _watch(motion, balance, STEPS_IN_TIME)
     while walk and walk.slow and steps < MOST_STEPS:  # steps hold what drifts by less than they turn friction
         steps, coarse = FINER * steps, walk
-        walk = _watch(problem, balance, coordinates, steps)
+        walk = _watch(motion, balance, steps)
         if walk and walk.way > coarse.way / NO_FASTER:
             break
     return walk
 
 
-def _watch(problem: ContactProblem, balance: HarmonicBalance, coordinates: ComplexArray, steps: int) -> Walk | None:
+def _watch(motion: PeriodicMotion, balance: HarmonicBalance, steps: int) -> Walk | None:
     """The same with so many steps a period."""
     rubs, ways = balance.static_displacement_row > 0, []
     try:
-        for scheme, period in islice(step_from(problem, coordinates, steps, THETA), WATCHED):
+        for scheme, period in islice(step_from(motion, steps, THETA), WATCHED):
             slip = period.positions @ scheme.rows.T
             ways.append(float(measure_in_plane(balance.system, slip[-1] - slip[0])[rubs].max()))
     except (ModelError, ImportError):

@@ -23,6 +23,7 @@ import dolfinx
 import h5py
 import numpy as np
 
+from ewr_fenicsx.balance.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output import mesh_plots, plots, solid_plots
@@ -33,7 +34,6 @@ from ewr_fenicsx.output.ring_plots import draw_diameters, find_waves, gather_rin
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.contact_state import changes_state, classify_contact, list_figures, list_histories
 from ewr_fenicsx.solution.indicators import measure_sliding
-from ewr_fenicsx.solution.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.chain import JIT, Chain, add_times

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.style import context
 from matplotlib.text import Text
 
+from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.solution.contact_state import (
     find_pairs_with,
@@ -23,7 +24,6 @@ from ewr_fenicsx.solution.contact_state import (
     sample_along_tangents,
     sample_friction_limit,
 )
-from ewr_fenicsx.solution.periodic_motion import SECOND
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.structure.interface import Interface
 

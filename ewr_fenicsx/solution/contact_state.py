@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ewr_fenicsx.balance.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.harmonics import FourierBasis
-from ewr_fenicsx.solution.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 OPEN, STICK, SLIP = 0, 1, 2

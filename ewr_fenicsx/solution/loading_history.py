@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
+from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import name_pairs
-from ewr_fenicsx.given import ComplexArray, RealArray
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 
@@ -22,16 +23,10 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 CARRIED, CHANGED, FAINT = 0.05, 0.05, 0.1
 
 
-def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray) -> list[str]:
-    """A line where pairs that never slip may carry friction on average that would decide about others, or at rest.
-
-    Args:
-        problem: What was solved.
-        forces: Its solution's contact forces ``(n_h, m)`` [N].
-        rigid: Its rigid coordinates ``(r,)`` [m].
-    """
-    balance, unknowns = pose_at(problem.system, forces, rigid)
-    stuck, limit = find_stuck(balance, forces, rigid)
+def tell_history(motion: PeriodicMotion) -> list[str]:
+    """A line where pairs that never slip may carry friction on average that would decide about others, or at rest."""
+    problem, (balance, unknowns) = motion.problem, motion.pose()
+    stuck, limit = find_stuck(balance, motion)
     if not (balance.basis.has_mean and stuck.size):
         return []
     held = HarmonicBalance(hold_in_place(problem).system, balance.force_unit)
@@ -47,7 +42,7 @@ def tell_history(problem: ContactProblem, forces: ComplexArray, rigid: RealArray
 
     friction = np.hypot.reduce([0.0 * every, *(at_pairs(change, d) for d in problem.model.tangent_directions)])
     carried = stuck[friction[stuck] > CARRIED * limit]
-    normal = at_pairs(forces[0].real, "normal") + problem.given_force.get(0, 0.0 * every).real
+    normal = at_pairs(motion.forces[0].real, "normal") + problem.given_force.get(0, 0.0 * every).real
     limits = problem.friction * np.maximum(0.0, normal)
     limits[stuck] = 0.0
     presses, slides = _matters(at_pairs(change, "normal"), normal), _matters(friction * (limits > 0), limits)
@@ -67,10 +62,10 @@ def _matters(change: RealArray, force: RealArray) -> bool:
     return bool(np.any(np.abs(change) > CHANGED * np.maximum(size, FAINT * size.max(initial=0.0))))
 
 
-def find_stuck(balance: HarmonicBalance, forces: ComplexArray, rigid: RealArray) -> tuple[np.ndarray, RealArray]:
+def find_stuck(balance: HarmonicBalance, motion: PeriodicMotion) -> tuple[np.ndarray, RealArray]:
     """Pairs with friction that never slip, whose mean friction is resolved, and the least limit of each [N]."""
     stuck, limits = [], []
-    seen = balance.sample(forces, balance.compliance.motion(forces, rigid))
+    seen = balance.sample(motion.forces, motion.row_motion)
     for law, rows, at in zip(balance.system.laws, balance.law_rows, seen, strict=True):
         resolved = np.all(balance.static_row[rows] > 0) and not np.any(balance.held[rows])
         if isinstance(law, FrictionLaw) and law.direction == "tangential" and resolved:

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
-from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.balance.periodic_motion import SECOND, PeriodicMotion
 from ewr_fenicsx.in_time.floquet import find_growth, grows, list_unfollowed, settles, tell_where_to
 from ewr_fenicsx.in_time.ring_growth import RingGrowth, find_ring_growth, leaves
 from ewr_fenicsx.in_time.stability import alternates, find_side
@@ -18,7 +17,6 @@ from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.ignored import list_ignored
 from ewr_fenicsx.solution import indicators
 from ewr_fenicsx.solution.loading_history import tell_history
-from ewr_fenicsx.solution.periodic_motion import SECOND, PeriodicMotion
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -138,7 +136,7 @@ class PeriodicSolution(PeriodicMotion):
         lines += self.list_broken_symmetry() + self.list_hit_modes()
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
-        lines += list_ignored(self.problem) + tell_history(self.problem, self.forces, self.rigid)
+        lines += list_ignored(self.problem) + tell_history(self)
         lines += [str(self.walks_slowly)] if self.walks_slowly else []
         if self.unstable:
             where_to = tell_where_to(self.problem, self.alternates, self.multiplier)
@@ -155,10 +153,10 @@ class PeriodicSolution(PeriodicMotion):
         """How a body that hangs on friction walks a little every cycle, so that its mean means nothing; or None."""
         if not (self.converged and self.rigid.size and self.merit["J_T"]):  # what does not slide does not walk
             return None
-        balance, unknowns = self._pose()
+        balance, unknowns = self.pose()
         if not balance.hangs_on_friction:
             return None
-        walk = watch_walk(self.problem, balance, self.coordinates) or measure_walk(balance, unknowns)
+        walk = watch_walk(self, balance) or measure_walk(balance, unknowns)
         return walk if walk.slow else None
 
     def _list_unfollowed(self) -> list[str]:
@@ -168,8 +166,7 @@ class PeriodicSolution(PeriodicMotion):
             return self._list_growth_round_the_ring()
         if not (self.problem.own_kinds and self.problem.system.laws and looked_at):
             return []
-        here = self._forgetful
-        unfollowed = list_unfollowed(here.problem.system, here.forces, here.rigid)
+        unfollowed = list_unfollowed(self._forgetful)
         told = "; ".join(f"{name} sees {' and '.join(seen)}" for name, seen in unfollowed.items())
         return [f"stability is not looked at: {told}"] if told else []
 
@@ -243,7 +240,7 @@ class PeriodicSolution(PeriodicMotion):
         """What the laws ask for at harmonics without forces, over all oscillating forces: the largest, and where."""
         if not harmonics or not self.problem.system.laws:
             return 0.0, 0
-        balance, wave = self._pose()[0], FourierBasis(tuple(harmonics), self.problem.basis.samples)
+        balance, wave = self.pose()[0], FourierBasis(tuple(harmonics), self.problem.basis.samples)
         seen = balance.sample(self.forces, self.row_motion)
         unmet = [law.evaluate(motion).residual for law, motion in zip(self.problem.system.laws, seen, strict=True)]
         size = np.linalg.norm(wave.to_amplitudes(wave.project(np.hstack(unmet))), axis=1)
@@ -272,19 +269,18 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def side(self) -> int:
         """Side of the branch's folds: -1 between two of them, else 1; 0: not looked at. See ``stability.py``."""
-        return find_side(*self._pose()) if self.converged and self.problem.system.rows.shape[0] else 0
+        return find_side(*self.pose()) if self.converged and self.problem.system.rows.shape[0] else 0
 
     @cached_property
     def alternates(self) -> bool:
         """Whether motions in time leave it by alternating from period to period; looked at where pairs tap."""
-        turns = self.converged and self._taps and alternates(self.problem.system, self.forces, self.rigid)
+        turns = self.converged and self._taps and alternates(self)
         return turns and not self._settles
 
     @cached_property
     def grows(self) -> bool:
         """Whether motions in time leave it without turning: looked at where ``side`` is negative."""
-        here = self._forgetful
-        seen = self.side < 0 and grows(here.problem.system, here.forces, here.rigid) is not False
+        seen = self.side < 0 and grows(self._forgetful) is not False
         return seen and not self._settles
 
     @cached_property
@@ -295,8 +291,7 @@ class PeriodicSolution(PeriodicMotion):
         """
         if not self.converged:
             return 0.0
-        here = self._forgetful
-        found = find_growth(here.problem, here.forces, here.rigid, here.coordinates)
+        found = find_growth(self._forgetful)
         return 0.0 if found and self._settles else found
 
     @cached_property
@@ -307,8 +302,7 @@ class PeriodicSolution(PeriodicMotion):
         """
         if not (self.converged and self.problem.model.cyclic and self.orders[-1]):
             return None
-        here = self._forgetful
-        return find_ring_growth(here.problem.system, here.forces, here.rigid)
+        return find_ring_growth(self._forgetful)
 
     @cached_property
     def _taps(self) -> bool:
@@ -318,8 +312,7 @@ class PeriodicSolution(PeriodicMotion):
     @cached_property
     def _settles(self) -> bool:
         """Whether the motion in time settles beside it; looked at where pairs tap."""
-        here = self._forgetful
-        return self._taps and settles(here.problem, here.forces, here.rigid, here.coordinates)
+        return self._taps and settles(self._forgetful)
 
     @cached_property
     def _forgetful(self) -> PeriodicSolution:
@@ -334,7 +327,7 @@ class PeriodicSolution(PeriodicMotion):
         here = replace(self, problem=replace(self.problem, closure="dashpot"))
         if "masses" not in closures:
             return here
-        balance, unknowns = here._pose()
+        balance, unknowns = here.pose()
         found, _ = balance.take_whole_steps(unknowns, SETTLING, balance.within(SETTLED))
         if found is None:
             return here
@@ -348,9 +341,6 @@ class PeriodicSolution(PeriodicMotion):
         See ``stability.py``.
         """
         return self.grows or self.alternates or self.multiplier != 0
-
-    def _pose(self) -> tuple[HarmonicBalance, RealArray]:
-        return pose_at(self.problem.system, self.forces, self.rigid)
 
     @cached_property
     def touches(self) -> bool:

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.loading_history import hold_in_place
-from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
 from ewr_fenicsx.solver.ladder import FINE_LEVELS, climb, start_cold, start_from_splitting
 from ewr_fenicsx.solver.snes import Attempt, LinearSolver, run_newton
 from ewr_fenicsx.solver.splitting import Splitting

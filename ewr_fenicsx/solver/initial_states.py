@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError, UnheldBody
 from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.problem.contact_problem import ContactProblem
-from ewr_fenicsx.solution.periodic_motion import PeriodicMotion
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.at_rest import find_rest
 

@@ -9,6 +9,7 @@ from numbers import Real
 
 import numpy as np
 
+from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.lifting import lift_out
@@ -17,7 +18,6 @@ from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, Ti
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.solution.periodic_motion import SECOND
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.initial_states import choose_start
 

@@ -12,6 +12,7 @@ from small_models import dovetail, friction_oscillator, lift_off_oscillator, ran
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
 from ewr_fenicsx.accuracy.estimates import estimate_at_once
+from ewr_fenicsx.balance.periodic_motion import HISTORIES
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.solution.contact_state import OPEN, SLIP, STICK, classify_contact, sample_friction_limit
 from ewr_fenicsx.solution.indicators import (
@@ -21,7 +22,6 @@ from ewr_fenicsx.solution.indicators import (
     measure_sliding,
     measure_work,
 )
-from ewr_fenicsx.solution.periodic_motion import HISTORIES
 from ewr_fenicsx.solution.solution import COARSE_ENERGY, COARSE_TENSION, FINE, PeriodicSolution
 
 SAMPLES = 96

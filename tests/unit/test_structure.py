@@ -28,13 +28,15 @@ ORDER = {
         "harmonics", "closure", "layout", "contact_system", "composition", "contact_problem", "dashpots", "ignored",
         "law_claims",
     ],
-    "balance": ["petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step"],
+    "balance": [
+        "petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "periodic_motion",
+    ],
     "in_time": [
         "time_stepping", "lifting", "periodicity", "followed_modes", "deviations", "hill", "floquet", "ring_growth",
         "stability", "walking",
     ],
     "solution": [
-        "loading_history", "indicators", "periodic_motion", "solution", "remedies", "contact_state", "symmetry",
+        "loading_history", "indicators", "solution", "remedies", "contact_state", "symmetry",
     ],
     "solver": [
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",

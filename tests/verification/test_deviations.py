@@ -49,8 +49,7 @@ def lengthen_stop(model: ReducedModel, elements: int, mass: float) -> ReducedMod
 
 
 def differentiate(solution, samples: int):
-    system = solution.problem.system
-    return system, differentiate_laws(system, solution.forces, solution.rigid, samples)
+    return solution.problem.system, differentiate_laws(solution, samples)
 
 
 def sort_pairs(multipliers: np.ndarray) -> np.ndarray:
@@ -133,7 +132,7 @@ def test_a_light_rod_for_a_stop_changes_nothing(elements):
 def test_along_the_motion_in_time_deviations_grow_as_along_its_series(frequency):
     found = tap(two_masses(), frequency)
     system, slopes = differentiate(found, 512)
-    along = differentiate_along(found.problem, found.coordinates)
+    along = differentiate_along(found)
     series = floquet.measure_growth(step_deviations(system, slopes).matrix)
     assert along.samples == 512 * PERIODS
     stepped = floquet.measure_growth(step_deviations(system, along, PERIODS).matrix)
@@ -151,6 +150,6 @@ def test_where_more_steps_blow_up_fewer_are_taken(monkeypatch):
 
     exact = found.multiplier
     monkeypatch.setattr(floquet, "step_deviations", blow_up)
-    guesses = floquet.guess_exponents(found.problem.system, found.forces, found.rigid, 1.0)
+    guesses = floquet.guess_exponents(found, 1.0)
     assert counts == [512, 256]
     assert np.exp(max(guesses, key=lambda z: z.real) / found.problem.frequency) == pytest.approx(exact, rel=0.05)

@@ -226,7 +226,7 @@ def test_what_motions_in_time_do_not_bear_out_is_no_instability(monkeypatch):
     steady = integrate(found.problem, found, 400, 30, tolerance=0, theta=0.52)
     assert steady.changes[1] > 0.1 and steady.changes[-1] < 1e-3
     monkeypatch.setattr(floquet, "is_borne_out", lambda *_: True)
-    by_the_series = floquet.find_growth(found.problem, found.forces, found.rigid, found.coordinates)
+    by_the_series = floquet.find_growth(found)
     assert abs(by_the_series) > floquet.GROWTH
     monkeypatch.setattr("ewr_fenicsx.solution.solution.find_growth", lambda *_: by_the_series)
     assert replace(found).multiplier == 0, "the motion settles beside it, whatever its deviations do"
@@ -240,7 +240,7 @@ def test_a_deviation_that_is_cut_off_at_the_highest_harmonics_has_no_exponent(mo
     found = solve(pose_case(case))
     assert found.multiplier == 0 and not found.unstable
     monkeypatch.setattr(floquet, "EDGE", np.inf)
-    cut_off = floquet.find_growth(found.problem, found.forces, found.rigid, found.coordinates)
+    cut_off = floquet.find_growth(found)
     assert abs(cut_off) > 1.1
 
 
@@ -287,8 +287,8 @@ def test_between_folds_and_at_doublings_it_agrees_with_the_determinants():
 def test_where_it_is_not_looked_at(monkeypatch):
     """Where very many rows change status, and under laws that remember: it is zero, which says nothing."""
     sprung = solve(ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 3, closure="spring"))
-    assert differentiate_laws(sprung.problem.system, sprung.forces, sprung.rigid, 512) is None
-    assert floquet.find_growth(sprung.problem, sprung.forces, sprung.rigid, sprung.coordinates) == 0
+    assert differentiate_laws(sprung, 512) is None
+    assert floquet.find_growth(sprung) == 0
     found = solve(tapping(0.42))
     assert found.multiplier != 0 and replace(found, converged=False).multiplier == 0
     monkeypatch.setattr(floquet, "MOST_UNKNOWNS", 9)

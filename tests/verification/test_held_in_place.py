@@ -9,7 +9,6 @@ import pytest
 from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, integrate, solve
-from ewr_fenicsx.balance.balance import pose_at
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.solution.loading_history import find_stuck
@@ -111,7 +110,7 @@ def test_what_a_pair_may_carry_is_its_least_limit_over_the_period():
     problem = shaken_node(0.01, 10.0)
     varying = ContactLaws("prescribed", normal_force={0: 100.0, 1: 40.0}, friction=0.5)
     found = solve(replace(problem, laws=varying))
-    pairs, limit = find_stuck(pose_at(found.problem.system, found.forces, found.rigid)[0], found.forces, found.rigid)
+    pairs, limit = find_stuck(found.pose()[0], found)
     assert pairs.tolist() == [0] and limit == pytest.approx([30.0], rel=1e-12)
 
 

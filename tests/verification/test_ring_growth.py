@@ -26,7 +26,7 @@ def test_exponents_of_all_waves_are_those_of_the_whole_ring(make, engine_order):
     one, whole = (solve(ContactProblem(m, RUB, frequency=60.0, **ALIKE)) for m in (model, unroll_ring(model)))
     omega = one.problem.omega
     guess = (0.02 + 0.2j) * omega
-    slopes, of_whole = (differentiate_laws(s.problem.system, s.forces, s.rigid, SAMPLES) for s in (one, whole))
+    slopes, of_whole = (differentiate_laws(s, SAMPLES) for s in (one, whole))
     assert of_whole.changing.size == SECTORS * slopes.changing.size > 0
     expected, _ = Hill(whole.problem.system, of_whole, guess, TOP).find_nearest()
     system, found = one.problem.system, []
@@ -72,7 +72,7 @@ def test_what_is_not_looked_at(monkeypatch):
     solution = solve(ContactProblem(model, RUB, 60.0, 5))
     assert solve(ContactProblem(unroll_ring(model), RUB, 60.0, 5)).ring_growth is None
     monkeypatch.setattr(ring_growth, "MOST_WORK", 1.0)
-    assert find_ring_growth(solution.problem.system, solution.forces, solution.rigid) is None
+    assert find_ring_growth(solution) is None
     told = "stability is not looked at; whether motions in time leave the wave"
     assert any(line.startswith(told) and "unroll_ring(model)" in line for line in replace(solution).cautions)
 
@@ -83,7 +83,7 @@ def test_a_joint_that_sticks_throughout_is_looked_at():
     fed = replace(model, cyclic=replace(model.cyclic, damping=0.6 * np.abs(model.damping).max() * np.eye(model.size)))
     laws = ContactLaws("prescribed", "coulomb", friction=1e6, normal_force=1e6)
     one, whole = (solve(ContactProblem(m, laws, 60.0, 5)) for m in (fed, unroll_ring(fed)))
-    assert not differentiate_laws(one.problem.system, one.forces, one.rigid, SAMPLES).changing.size
+    assert not differentiate_laws(one, SAMPLES).changing.size
     assert whole.unstable and leaves(one.ring_growth)
     assert any("perhaps unstable" in line for line in one.cautions)
     stuck = solve(ContactProblem(model, laws, 60.0, 5))

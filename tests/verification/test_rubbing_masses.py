@@ -75,8 +75,7 @@ def test_friction_holds_back_what_damping_feeds_a_little(friction):
 
 def test_rows_slide_on_through_short_sticking_only():
     found, _ = rub(-0.1, 0.1, 0.1, 15)
-    here = replace(found.problem, closure="dashpot")
-    slopes = differentiate_laws(here.system, found.forces, found.rigid, 512)
+    slopes = differentiate_laws(replace(found, problem=replace(found.problem, closure="dashpot")), 512)
     assert [d.variable for d in slopes.derivatives] == ["force", "velocity"]
     assert 4 < np.count_nonzero(slopes.derivatives[0].values == 0) < 34
     sliding = slopes.slide_through_turns(17)

@@ -192,7 +192,7 @@ def test_both_signs_make_that_of_the_doubled_problem(name):
     forces[[orders.index(2 * h) for h in found.orders]] = found.forces
     unknowns = balance.pack(forces, found.rigid)
     assert np.linalg.norm(balance.residual(unknowns)) < 1e-6 * np.linalg.norm(found.forces)
-    alternates = stability.alternates(found.problem.system, found.forces, found.rigid)
+    alternates = stability.alternates(found)
     assert stability.find_side(balance, unknowns) == found.side * (-1 if alternates else 1)
     assert alternates == (name == "alternates")
     odd = (np.array(orders)[doubled.basis.slot] % 2 == 1)[:, None] & balance.unknown
@@ -223,7 +223,7 @@ def test_where_it_is_not_looked_at(branches, monkeypatch):
     found = replace(branches["upper"][0])
     assert replace(found, converged=False).side == 0
     at_rest = solve(replace(found.problem, frequency=0.0, load={0: found.problem.loads[1]}, harmonics=0))
-    assert not stability.alternates(at_rest.problem.system, at_rest.forces, at_rest.rigid)
+    assert not stability.alternates(at_rest)
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 3)
     assert found.side == 0 and solve(pound(0.42)).alternates, "the lowest harmonic in between is enough there"
     monkeypatch.setattr(stability, "MOST_UNKNOWNS", 1)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
 from ewr_fenicsx.model.receptance import receptance
@@ -41,6 +41,10 @@ class PeriodicMotion:
     def orders(self) -> tuple[int, ...]:
         """Harmonics of every amplitude array."""
         return self.problem.basis.orders
+
+    def pose(self) -> tuple[HarmonicBalance, RealArray]:
+        """The balance of its system, in units of its forces, and the unknowns ``(size,)`` that it is."""
+        return pose_at(self.problem.system, self.forces, self.rigid)
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n_h,)`` of a named output of the model.
