@@ -214,7 +214,7 @@ class HarmonicBalance:
 
     def residual(self, unknowns: RealArray, motion: ComplexArray | None = None) -> RealArray:
         """Scaled weighted residual, ``(size,)``, of the laws at the motion that the forces cause or another one [m]."""
-        forces, _, caused, _, projected = self._respond(unknowns, motion)
+        forces, caused, _, projected = self._respond(unknowns, motion)
         return self._weigh(forces, caused, projected)
 
     def measure_residual(self, unknowns: RealArray) -> float:
@@ -230,10 +230,10 @@ class HarmonicBalance:
                 that of a neighbouring problem, whose pairs' states then guide the first step. The residual is the
                 linearised one.
         """
-        forces, rigid, caused, responses, projected = self._respond(unknowns, motion)
+        forces, caused, responses, projected = self._respond(unknowns, motion)
         step = NewtonStep(self, self.differentiate(responses), self._weigh(forces, caused, projected))
         if motion is not None:
-            step.residual = step.residual + step.change(0 * forces, caused - motion, 0 * rigid)
+            step.residual = step.residual + step.change(0 * forces, caused - motion)
         return step
 
     def within(self, tolerance: float) -> Callable[[RealArray], bool]:
@@ -282,9 +282,8 @@ class HarmonicBalance:
 
     def _respond(
         self, unknowns: RealArray, motion: ComplexArray | None = None
-    ) -> tuple[ComplexArray, RealArray, ComplexArray, list[Response], RealArray]:
-        """Forces, rigid coordinates, the motion that they cause, responses of the laws to it or another, and these
-        projected, ``(n_c, m)``.
+    ) -> tuple[ComplexArray, ComplexArray, list[Response], RealArray]:
+        """Forces, the motion caused, responses of the laws to it or another, and these projected, ``(n_c, m)``.
 
         The last point is remembered: a Newton step starts where the line search before it ended.
         """
@@ -300,7 +299,7 @@ class HarmonicBalance:
         projected = np.empty(self.unknown.shape)
         for rows, response in zip(self.law_rows, responses, strict=True):
             projected[:, rows] = self.basis.project(response.residual)
-        answer = forces, rigid, caused, responses, projected
+        answer = forces, caused, responses, projected
         if motion is None:
             self._seen.append((unknowns.copy(), answer))
         return answer

@@ -71,14 +71,14 @@ class NewtonStep:
         balance = self.balance
         forces, rigid = balance.unpack(direction)
         motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
-        product = self.change(forces, motion, rigid)
+        product = self.change(forces, motion)
         if (added := self.spread(shift)) is not None:
             moved = balance.size - balance.rigid
             product[:moved] += added[balance.basis.slot][balance.unknown] * direction[:moved]
         return product
 
-    def change(self, forces: ComplexArray, motion: ComplexArray, rigid: RealArray) -> RealArray:
-        """Change of the residual with force and motion amplitudes ``(n_h, m)`` and rigid coordinates ``(r,)``."""
+    def change(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
+        """Change of the residual with force and motion amplitudes ``(n_h, m)``, rigid motion included."""
         balance, basis = self.balance, self.balance.basis
         by_force, by_motion = basis.to_coefficients(forces), basis.to_coefficients(motion)
         coefficients = np.zeros((balance.rows, basis.coefficients))

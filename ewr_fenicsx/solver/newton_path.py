@@ -232,7 +232,7 @@ class _Path:
 
     def _find_pull(self, step: NewtonStep) -> RealArray:
         """How fast the residual changes with the growing loads, ``(size,)``."""
-        return step.change(np.zeros_like(self.growing), self.growing, np.zeros(self.balance.rigid))
+        return step.change(np.zeros_like(self.growing), self.growing)
 
     def _find_drift(self) -> RealArray:
         """What rounding has made of the residual on the path, ``(size,)``."""
