@@ -6,6 +6,7 @@ Source: Alart & Curnier (1991), doi:10.1016/0045-7825(91)90022-X.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -14,14 +15,27 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.law_kinds import Law
 
 
+@dataclass(frozen=True, eq=False)
 class FrictionLaw(Law):
     """Dry friction, whatever closes its truncation; along one line, unless a law says otherwise.
 
-    Attributes:
+    Args:
+        pairs: ``(K,)`` pairs governed.
         friction: ``(K,)`` coefficients of friction ``mu``.
+        static_row, static_force_row: ``(1, eps)`` keeps the mean equation, regularised; ``(0, 1)`` sets mean friction
+            to zero.
+        static_displacement_row: ``(K,)`` or scalar; positive where only friction holds a body: pairs that stick
+            throughout then share its mean load like springs [N/m].
+        direction: The contact direction that the law owns.
     """
 
+    pairs: np.ndarray
     friction: RealArray
+    _: KW_ONLY
+    static_row: float = 1.0
+    static_force_row: float | RealArray = 0.0
+    static_displacement_row: float | RealArray = 0.0
+    direction: str = "tangential"
     opposes = "velocity"
 
     @property

@@ -73,7 +73,7 @@ class DryFriction(LawKind):
         laws = []
         for kind, given, picked in closures:
             if np.any(picked):
-                laws.append(kind(group.pairs[picked], friction[picked], given[picked], *mean.of(picked)))
+                laws.append(kind(group.pairs[picked], friction[picked], given[picked], **mean.of(picked)._asdict()))
         return tuple(laws)
 
 
@@ -95,22 +95,10 @@ class Coulomb(FrictionLaw):
     dynamic-Lagrangian frequency-time method with penalty ``1 / rho``.
 
     Args:
-        pairs: ``(K,)`` pairs governed.
-        friction: ``(K,)`` coefficients of friction ``mu``.
         rho: ``(K,)`` positive weight [(m/s)/N].
-        static_row, static_force_row: ``(1, eps)`` keeps the mean equation, regularised; ``(0, 1)`` sets mean friction
-            to zero.
-        static_displacement_row: ``(K,)`` or scalar; positive where only friction holds a body: pairs that stick
-            throughout then share its mean load like springs [N/m].
     """
 
-    pairs: np.ndarray
-    friction: RealArray
     rho: RealArray
-    static_row: float
-    static_force_row: float | RealArray
-    static_displacement_row: float | RealArray = 0.0
-    direction: str = "tangential"
     has_corners = True
 
     @property

@@ -124,20 +124,11 @@ class InertialCoulomb(FrictionLaw):
     does, and so solves nothing; without friction, the force itself is to vanish.
 
     Args:
-        pairs: ``(K,)`` pairs governed.
-        friction: ``(K,)`` coefficients of friction ``mu``.
         mass: ``(K,)`` of each pair at the harmonics left out, positive [kg].
-        static_row, static_force_row, static_displacement_row: As in ``Coulomb``.
         period: Of the motion [s].
     """
 
-    pairs: np.ndarray
-    friction: RealArray
     mass: RealArray
-    static_row: float
-    static_force_row: float | RealArray
-    static_displacement_row: float | RealArray = 0.0
-    direction: str = "tangential"
     period: float = 0.0
     closes: str = "masses"
 

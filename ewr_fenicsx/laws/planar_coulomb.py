@@ -29,7 +29,7 @@ def build_in_plane(group: PairGroup, friction: RealArray, mean: MeanEquation) ->
         mean: What decides the mean friction, in both directions alike.
     """
     rho = group.weight[TANGENTS[0]]  # that of both directions
-    return tuple(PlanarCoulomb(group.pairs, d, friction, rho, *mean) for d in TANGENTS)
+    return tuple(PlanarCoulomb(group.pairs, friction, rho, direction=d, **mean._asdict()) for d in TANGENTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +40,10 @@ class PlanarCoulomb(FrictionLaw):
     ``v`` have two components: the trial force ``s`` shrunk into the disk. Along a line it is ``coulomb.Coulomb``.
 
     Args:
-        pairs: ``(K,)`` pairs governed.
-        direction: Which of the two components this law owns.
-        friction: ``(K,)`` coefficients of friction ``mu``.
         rho: ``(K,)`` positive weight [(m/s)/N], the same in both directions.
-        static_row, static_force_row, static_displacement_row: As in ``coulomb.Coulomb``.
     """
 
-    pairs: np.ndarray
-    direction: str
-    friction: RealArray
     rho: RealArray
-    static_row: float
-    static_force_row: float | RealArray
-    static_displacement_row: float | RealArray = 0.0
 
     @property
     def impedance(self) -> RealArray:

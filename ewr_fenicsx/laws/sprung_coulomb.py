@@ -67,19 +67,10 @@ class SprungCoulomb(FrictionLaw):
     """Dry friction in one tangential direction with the true, varying cone, closed by springs.
 
     Args:
-        pairs: ``(K,)`` pairs governed.
-        friction: ``(K,)`` coefficients of friction ``mu``.
         flexibility: ``(K,)`` of each pair by itself at the harmonics left out, positive [m/N].
-        static_row, static_force_row, static_displacement_row: As in ``Coulomb``.
     """
 
-    pairs: np.ndarray
-    friction: RealArray
     flexibility: RealArray
-    static_row: float
-    static_force_row: float | RealArray
-    static_displacement_row: float | RealArray = 0.0
-    direction: str = "tangential"
     closes: str = "springs"
 
     @property

@@ -40,7 +40,7 @@ def signorini(gap: float = 0.5, rho: float = 4.0) -> Signorini:
 
 
 def coulomb(friction: float = 0.5, rho: float = 2.0) -> Coulomb:
-    return Coulomb(PAIR, np.array([friction]), np.array([rho]), 1.0, 0.0)
+    return Coulomb(PAIR, np.array([friction]), np.array([rho]))
 
 
 @given(st.lists(finite, min_size=1, max_size=8), st.integers(0, 2**32 - 1))
@@ -196,10 +196,10 @@ def test_pairs_keep_to_themselves():
     force, other, velocity = rng.normal(size=(3, 6, 4))
     friction, rho = rng.uniform(0.1, 1, size=(2, 4))
     seen = Motion({"normal": other, "tangential": force}, {}, {"tangential": velocity})
-    together = Coulomb(np.arange(4), friction, rho, 1.0, 0.0).evaluate(seen)
+    together = Coulomb(np.arange(4), friction, rho).evaluate(seen)
     for k in range(4):
         one = Motion({"normal": other[:, [k]], "tangential": force[:, [k]]}, {}, {"tangential": velocity[:, [k]]})
-        alone = Coulomb(PAIR, friction[[k]], rho[[k]], 1.0, 0.0).evaluate(one)
+        alone = Coulomb(PAIR, friction[[k]], rho[[k]]).evaluate(one)
         np.testing.assert_array_equal(together.residual[:, [k]], alone.residual)
         for a, b in zip(together.partials, alone.partials, strict=True):
             np.testing.assert_array_equal(a.values[:, [k]], b.values)

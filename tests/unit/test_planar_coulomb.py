@@ -96,7 +96,7 @@ def test_elimination_and_the_dense_jacobian_lead_to_the_same_solution():
 @given(*[st.floats(-5, 5)] * 5, st.floats(0.01, 10), st.floats(0, 2))
 def test_it_vanishes_on_coulomb_s_set_and_only_there(pressed, x, y, along, across, rho, friction):
     """Admissible forces are in the disk and nearest to the trial force; at the limit, sliding opposes the force."""
-    laws = [PlanarCoulomb(np.arange(1), d, np.array([friction]), np.array([rho]), 1.0, 0.0) for d in TANGENTS]
+    laws = [PlanarCoulomb(np.arange(1), np.array([friction]), np.array([rho]), direction=d) for d in TANGENTS]
     seen = lambda **values: {name: np.array([[value]]) for name, value in values.items()}  # noqa: E731
     limit = friction * max(0.0, pressed)
     motion = Motion(

@@ -374,7 +374,10 @@ class Rail(LawKind):
     def build(self, group: PairGroup) -> tuple[Law, ...]:
         return (
             Coulomb(
-                group.pairs, group.spread(self.friction), group.weight["tangential"], 1.0, MEAN_FRICTION_REGULARISATION
+                group.pairs,
+                group.spread(self.friction),
+                group.weight["tangential"],
+                static_force_row=MEAN_FRICTION_REGULARISATION,
             ),
         )
 
