@@ -181,8 +181,8 @@ def has_own_springs(problem: ContactProblem) -> bool:
     if not (rub and problem.frequency and highest):
         return False
     at = np.concatenate(rub)
-    wave = system.layout.usual_wave
-    rows = system.layout.rows_in(wave)[at]
+    wave = system.usual_wave
+    rows = system.rows_in(wave)[at]
     return bool(np.all(find_own_springs(system.model, rows, system.flexibility[at], problem.omega, highest, wave)))
 
 
@@ -193,7 +193,7 @@ def find_ringing(problem: ContactProblem, top: int) -> list[int]:
     None where modes do not uncouple the model.
     """
     system, orders = problem.system, np.arange(top, HIGHEST_RINGING + 2)
-    model, rows_in = system.model, system.layout.rows_in
+    model, rows_in = system.model, system.rows_in
     waves = np.array([model.wave_of(h) for h in orders.tolist()])
     if orders.size < 3 or not len(system.rows) or any(find_normal_modes(model, w) is None for w in set(waves.tolist())):
         return []

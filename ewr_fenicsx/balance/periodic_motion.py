@@ -74,7 +74,7 @@ class PeriodicMotion:
         amplitudes = np.zeros((len(self.orders), system.model.size), dtype=complex)
         for j, h in enumerate(self.orders):
             wave = system.model.wave_of(h)
-            force = system.layout.rows_in(wave).conj().T @ self.forces[j] + system.load.get(h, 0)
+            force = system.rows_in(wave).conj().T @ self.forces[j] + system.load.get(h, 0)
             amplitudes[j] = receptance(system.model, h * self.problem.omega, None, force[:, None], wave)[:, 0]
         if self.rigid.size:
             # the generalised inverse used here differs by a rigid motion from the one of the compliance: match the rows

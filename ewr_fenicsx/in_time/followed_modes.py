@@ -67,7 +67,7 @@ def follow_waves(system: ContactSystem, reach: float, waves: Iterable[int]) -> F
     for wave, modes, damping, follows in found:
         slowest = np.argsort(-modes.mass, kind="stable")  # shapes have unit stiffness
         follows[slowest[~follows[slowest]][: count - np.count_nonzero(follows)]] = True
-        kept.append(_keep(modes, damping, system.layout.rows_in(wave), follows))
+        kept.append(_keep(modes, damping, system.rows_in(wave), follows))
     return Followed(*map(np.array, zip(*kept, strict=True)))
 
 

@@ -85,7 +85,7 @@ def compose(problem: Statement) -> ContactSystem:
     """
     layout, basis = problem.layout, problem.basis
     load = layout.project(problem.excitation)
-    flexibility = layout.flexibility + layout.mobility / (problem.omega or 1.0) ** 2
+    flexibility = layout.static_flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
         usual = layout.rows_in(wave := layout.usual_wave)
         flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, usual, problem.omega, wave))
@@ -93,7 +93,7 @@ def compose(problem: Statement) -> ContactSystem:
     compliance = condense(layout.model, *rows)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
     return ContactSystem(
-        layout=layout,
+        **vars(layout),
         load=load,
         prescribed=problem.given_force,
         laws=tuple(

@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.law_kinds import Law
 from ewr_fenicsx.model.compliance import DynamicCompliance
-from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.problem.harmonics import FourierBasis, select_basis
 from ewr_fenicsx.problem.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)
-class ContactSystem:
-    """What a problem calls for, and no more.
+class ContactSystem(Layout):
+    """What a problem calls for, and no more: the rows of its joint, and what they need.
 
     Attributes:
-        layout: Rows and the model that they belong to.
         load: Harmonic -> ``(n',)`` amplitudes with the prescribed normal forces included [N].
         prescribed: Harmonic -> ``(K_c,)`` amplitudes of the normal forces that are given, zero at other pairs [N].
         laws: The laws; each row belongs to exactly one.
@@ -29,33 +25,12 @@ class ContactSystem:
         compliance: Dynamic compliance of the rows.
     """
 
-    layout: Layout
     load: Mapping[int, ComplexArray]
     prescribed: Mapping[int, ComplexArray]
     laws: tuple[Law, ...]
     flexibility: RealArray
     basis: FourierBasis
     compliance: DynamicCompliance
-
-    @property
-    def model(self) -> ReducedModel:
-        """The model with bonded rows projected out."""
-        return self.layout.model
-
-    @property
-    def expansion(self) -> RealArray:
-        """``(n, n')`` from its coordinates to those of the problem's model."""
-        return self.layout.expansion
-
-    @property
-    def rows(self) -> RealArray:
-        """``(m, n')`` contact rows that carry an unknown force."""
-        return self.layout.rows
-
-    @property
-    def index(self) -> Mapping[str, np.ndarray]:
-        """Direction -> ``(K_c,)`` row of each pair, -1 where it has none."""
-        return self.layout.index
 
     @property
     def closures(self) -> tuple[str, ...]:
@@ -66,14 +41,6 @@ class ContactSystem:
     def highest_given(self) -> int:
         """The highest harmonic of normal forces that are given, which samples have to tell as well; 0 without any."""
         return max(self.prescribed, default=0)
-
-    def row_of(self, direction: str, pairs: np.ndarray) -> np.ndarray:
-        """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
-        return self.layout.row_of(direction, pairs)
-
-    def rows_of(self, pairs: np.ndarray) -> dict[str, np.ndarray]:
-        """Direction -> row of each of ``pairs``, for directions in which an unknown force acts at all of them."""
-        return self.layout.rows_of(pairs)
 
     def restrict(self, orders: tuple[int, ...]) -> ContactSystem:
         """The same system with fewer harmonics; nothing is computed anew."""

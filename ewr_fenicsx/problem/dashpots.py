@@ -34,12 +34,12 @@ def match_mobility(problem: ContactProblem) -> RealArray | None:
     weight, system = read_weight(problem, "tangential"), problem.system
     beyond = list_beyond(problem.basis.orders[-1])
     rate = np.array(beyond)[:, None] * problem.omega
-    wave = system.layout.usual_wave
+    wave = system.usual_wave
     measure = lambda rows: measure_beyond(system.model, rows, problem.omega, beyond, wave)  # noqa: E731
     for law in system.laws:
         if law.direction == "tangential" and hasattr(law, "rho") and not np.any(law.stick_flexibility):
             at = [system.row_of(direction, law.pairs) for direction in problem.model.tangent_directions]
-            along = [system.layout.rows_in(wave)[rows] for rows in at if np.all(rows >= 0)]
+            along = [system.rows_in(wave)[rows] for rows in at if np.all(rows >= 0)]
             own = [measure(rows) for rows in along]
             size = np.linalg.norm(own, axis=0)
             if len(along) == 2:

@@ -72,8 +72,8 @@ class Layout:
         rows: ``(m, n')`` contact rows that carry an unknown force; of a ring those in wave 0.
         next_rows: ``(m, n')`` what the next sector's coordinates add to them; None: nothing.
         index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
-        flexibility: ``(m,)`` static flexibility of each row by itself, rigid motions left out; with two tangents a pair
-            the mean of both [m/N].
+        static_flexibility: ``(m,)`` of each row by itself, rigid motions left out; with two tangents a pair the mean of
+            both [m/N].
         mobility: ``(m,)`` inverse inertia of each row where it is all that resists, else zero [1/kg].
     """
 
@@ -82,7 +82,7 @@ class Layout:
     rows: RealArray
     next_rows: RealArray | None
     index: Mapping[str, np.ndarray]
-    flexibility: RealArray
+    static_flexibility: RealArray
     mobility: RealArray
 
     def rows_in(self, wave: int) -> RealArray | ComplexArray:

@@ -59,11 +59,11 @@ def estimate_rounding(problem: ContactProblem) -> float:
 
 def find_dependent_pairs(problem: ContactProblem) -> list[int]:
     """Pairs whose contact rows are linear combinations of one another's; none where there are too many to look."""
-    layout = problem.system.layout
-    rows = layout.rows_in(layout.usual_wave)
+    system = problem.system
+    rows = system.rows_in(system.usual_wave)
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     if not 0 < len(rows) <= LARGEST or not np.all(sizes > 0):
         return []
     dependent = scipy.linalg.null_space((rows / sizes).conj().T)
     involved = np.append(np.abs(dependent).max(axis=1, initial=0.0) > INVOLVED, False)  # the last for pairs without
-    return np.flatnonzero(np.any([involved[index] for index in layout.index.values()], axis=0)).tolist()
+    return np.flatnonzero(np.any([involved[index] for index in system.index.values()], axis=0)).tolist()

@@ -278,7 +278,7 @@ def trace_damping(balance: HarmonicBalance, tolerance: float, failed: Attempt) -
 
     def damp(added: float, least_share: float) -> HarmonicBalance:
         damped = replace(model, damping=model.damping + added * drag)
-        kept, following = balance.basis.orders[mean:], system.layout.next_rows
+        kept, following = balance.basis.orders[mean:], system.next_rows
         moved = condense(damped, system.rows, system.load, omega, kept, next_rows=following)
         flexibility, motion = balance.compliance.flexibility.copy(), balance.compliance.free_motion.copy()
         flexibility[mean:], motion[mean:] = moved.flexibility, moved.free_motion
