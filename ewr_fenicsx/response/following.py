@@ -172,14 +172,14 @@ class Follower:
         """
         here, before, reach = stand.here, stand.before, stand.reach
         for target in targets:
-            curve = Curve()
+            curve, begun = Curve(), here
             while here.problem.frequency != target:
                 f = min(target, here.problem.frequency + reach)
                 f = target if target - f < SMALLEST_STEP * target else f
                 found, surprise, change = self._step(f, here, before)
                 tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
                 lost, far = surprise > LARGEST_SURPRISE, bool(self.refine) and change > self.refine
-                traced = self._trace(here, before, target) if tiny and (lost or far) else None
+                traced = self._trace(begun, here, before, target) if tiny and (lost or far) else None
                 if traced and (lost or not traced.jumps):
                     curve.extend(traced)
                     reach = np.inf
@@ -238,10 +238,19 @@ class Follower:
             return found, change, change
         return found, min(change, compare_states(state, last + ratio * (last - read_state(before)))), change
 
-    def _trace(self, here: PeriodicSolution, before: PeriodicSolution | None, target: float) -> Curve:
-        """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there."""
-        for stray in STRAYS:
-            points, why = self._trace_arc(here, before, target, stray)
+    def _trace(
+        self, begun: PeriodicSolution, here: PeriodicSolution, before: PeriodicSolution | None, target: float
+    ) -> Curve:
+        """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there.
+
+        Steps through frequency may leap over the nose of a fold, and then follow what lies beyond back up to it: from
+        there the branch leads on the other way. Points on another side than where they ``begun`` tell of that.
+        """
+        ways = [(here, before, stray) for stray in STRAYS]
+        if before is not None and min(here.side * begun.side, before.side * begun.side) < 0:
+            ways += [(before, here, stray) for stray in STRAYS]
+        for last, earlier, stray in ways:
+            points, why = self._trace_arc(last, earlier, target, stray)
             self.tell("")
             if not why:
                 return Curve(points)

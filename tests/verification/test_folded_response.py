@@ -249,6 +249,28 @@ def test_a_leap_over_a_corner_does_not_lead_back():
     assert np.abs(curve.output("tip")[-1, 1]) == pytest.approx(0.2 / np.abs(1 - omega**2 + 0.03j * omega))
 
 
+@pytest.mark.parametrize(
+    ("damping", "stop", "gap", "back"), [(0.03, 0.5, 1.5, False), (0.05, 2.0, 1.0, True), (0.05, 2.0, 1.5, True)]
+)
+def test_a_nose_that_steps_through_frequency_leapt_over_is_gone_round_all_the_same(damping, stop, gap, back):
+    """On the middle branch they rose back up to it, and the trace went down the branch that they had come from.
+
+    In a nose that wriggles a further leap may lead back again. Below the gap the mass is linear.
+    """
+    model = stop_oscillator(excitation=0.1, damping=damping, stop_stiffness=stop)
+    laws = ContactLaws(tangential="frictionless", initial_gap=gap)
+    curve = frequency_response(model, laws, np.linspace(0.12, 0.26, 8), harmonics=3, progress=False)
+    turns = find_turns(curve.frequencies)
+    assert curve.jumps == () and curve.missing == ()
+    assert turns.size == (4 if back else 2)
+    assert np.all(np.diff(curve.frequencies[turns[-2] : turns[-1] + 1]) < 0)
+    after = curve.frequencies > curve.frequencies[turns[-1]] + 1e-3
+    after[: turns[-1]] = False
+    omega = 2 * np.pi * curve.frequencies[after]
+    linear = 0.1 / np.abs(1 - omega**2 + damping * 1j * omega)
+    np.testing.assert_allclose(np.abs(curve.output("tip")[after, 1]), linear, rtol=1e-6)
+
+
 def test_corners_are_not_leapt_over_from_afar():
     """The curve left the middle branch 5 % above its end; below the gap the mass is linear."""
     curve, turns = sweep_between_two_stops(9)
