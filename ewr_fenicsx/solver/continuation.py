@@ -95,7 +95,9 @@ def trace_branch(
             found = None
         if found is not None and np.isfinite(stray) and step > _LEAP and onward is not None:
             chord = _point_to(here, found, span)
-            found = found if np.sign(onward @ chord) * (onward @ tangent) >= _AROUND else None
+            around = np.sign(onward @ chord) * (onward @ tangent) < _AROUND
+            if around or (chord @ tangent < _STRAIGHT and _turns_sense(balance_at, ways[0], (found, chord), span)):
+                found = None
         ahead = None
         if found is None and step <= _LEAP:
             found, ahead, taken = _turn_corner(balance_at, ways, step, span, tolerance)
@@ -189,6 +191,20 @@ def _turn_corner(
     if there is None or sense * there @ beyond < _ALONG:
         found = there = None
     return found, sense * there if found else None, taken + 2 + steps
+
+
+def _turns_sense(
+    balance_at: BalanceAt, a: tuple[BranchPoint, RealArray], b: tuple[BranchPoint, RealArray], span: float
+) -> bool:
+    """Whether the bordered determinant changes its sign between two points, with directions along which to go there.
+
+    As where a step leapt over the corner in which the branch turns back, to where that piece came from.
+    """
+    senses = []
+    for point, direction in (a, b):
+        there = _find_tangent(balance_at, point.unknowns, point.parameter, span)
+        senses.append(0.0 if there is None or abs(there @ direction) < _ALONG else np.sign(there @ direction))
+    return senses[0] * senses[1] < 0
 
 
 def _find_tangent(balance_at: BalanceAt, unknowns: RealArray, parameter: float, span: float) -> RealArray | None:

@@ -271,6 +271,25 @@ def test_a_nose_that_steps_through_frequency_leapt_over_is_gone_round_all_the_sa
     np.testing.assert_allclose(np.abs(curve.output("tip")[after, 1]), linear, rtol=1e-6)
 
 
+def test_no_step_along_the_middle_branch_leaps_over_the_corner_at_its_end():
+    """Two unequal stops: a long step landed where the mass is free, and went on down in frequency out of the range."""
+    near, far = 1.8, 1.9
+    model = ReducedModel(
+        mass=np.diag([1.6, 0.0, 0.0]),
+        damping=np.diag([0.025, 0.0, 0.0]),
+        stiffness=[[1.0 + near + far, -near, far], [-near, near, 0.0], [far, 0.0, far]],
+        normal=[[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+        load={1: [0.1, 0.0, 0.0]},
+        outputs={"tip": [1.0, 0.0, 0.0]},
+    )
+    laws = ContactLaws(tangential="frictionless", initial_gap=[2.9, 2.8])
+    curve = frequency_response(model, laws, np.linspace(0.08, 0.16, 9), harmonics=7, progress=False)
+    assert curve.jumps == () and curve.missing == ()
+    lowest = curve.frequencies[find_turns(curve.frequencies)[-1]]
+    w2 = np.roots([1.6**2, 0.025**2 - 3.2, 1.0 - (0.1 / 2.8) ** 2]).max()  # where the nearer stop is grazed
+    assert lowest == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=5e-3)
+
+
 def test_corners_are_not_leapt_over_from_afar():
     """The curve left the middle branch 5 % above its end; below the gap the mass is linear."""
     curve, turns = sweep_between_two_stops(9)
