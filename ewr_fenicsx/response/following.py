@@ -39,7 +39,7 @@ STRAYS = (3.0, 1.5)
 # shorter steps through frequency the tracer turns round every corner of a wriggle.
 MOST_STUCK = 1e3
 CLOSED = "the branch is a closed curve"  # which no other way leads out of
-BEYOND, LEAST_SHARE = 0.1, 0.5  # shares of the range, and of its lowest frequency, to which a branch is traced
+BEYOND, LEAST_SHARE = 0.1, 0.5  # of the range, and of its lowest frequency: how far below it a branch is traced
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
 
@@ -270,7 +270,7 @@ class Follower:
         """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
         unit = HarmonicBalance(here.problem.system).measure_stick(MOST_STUCK)
         span = self.highest - self.lowest
-        least, most = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest), self.highest + BEYOND * span
+        least = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest)
 
         def balance_at(frequency: float) -> HarmonicBalance:
             possible = max(frequency, 0.9 * least)  # a trial may go anywhere
@@ -289,9 +289,12 @@ class Follower:
 
         state_at = cache(lambda point: read_state(solution_at(point)))
 
+        meet = cache(lambda a, b: self._step(target, solution_at(b), solution_at(a)))  # at the target, between two points
+
         def measure_room(a: BranchPoint, b: BranchPoint) -> float:
             change = compare_states(state_at(a), state_at(b)) if self.refine else 0.0
-            return self.refine / change if change else np.inf
+            far = b.parameter >= target and meet(a, b)[1] > LARGEST_SURPRISE
+            return min(self.refine / change if change else np.inf, 0.5 if far else np.inf)
 
         points: list[PeriodicSolution] = []
         last = None if before is None else as_branch_point(before)
@@ -318,17 +321,14 @@ class Follower:
                 if retraces(path, span):
                     frequencies = [p.parameter for p in path]
                     return points, f"{CLOSED} between {min(frequencies):g} and {max(frequencies):g} Hz"
-            if not least <= point.parameter <= most:
+            if point.parameter >= target:
+                found, surprise, _ = meet(*path[-2:])
+                if surprise <= LARGEST_SURPRISE:
+                    return [*points, found], ""
+                return points, f"past its folds, the branch was lost before {target:g} Hz"
+            if point.parameter < least:
                 return points, f"the branch left the range of frequencies at {point.parameter:g} Hz"
             if len(points) >= times * TRACED_POINTS:
                 return points, f"{len(points)} points of arc-length continuation did not reach it"
-            traced = solution_at(point)
-            if point.parameter >= target:
-                earlier = points[-1] if points else here
-                ratio = (target - point.parameter) / (point.parameter - earlier.problem.frequency)
-                found = solve_from(self._pose(target, here), traced, earlier, ratio, self.tolerance)
-                if found.converged:
-                    return [*points, found], ""
-                return points, f"past its folds, the branch was lost before {target:g} Hz"
-            points.append(traced)
+            points.append(solution_at(point))
         return points, "the branch was lost by arc-length continuation"

@@ -105,6 +105,7 @@ def trace_branch(
         if found is None:
             step, halved = 0.5 * step, True
             continue
+        found = replace(found, steps=spent)
         room = measure_room(here, found)
         if room < 1 and step > _NEAREST:
             step = max(0.5, _ROOMY * room) * step
@@ -113,7 +114,7 @@ def trace_branch(
             secant = _point_to(here, found, span)
             ahead = secant if np.isfinite(stray) else _find_way(secant, onward)
         tangent = ahead
-        yield replace(found, steps=spent)
+        yield found
         here, spent = found, 0
         ways = [(here, tangent), *ways[:1]]
         most = largest_step * max(1.0, _LARGE * float(np.linalg.norm(here.unknowns)))

@@ -290,6 +290,21 @@ def test_no_step_along_the_middle_branch_leaps_over_the_corner_at_its_end():
     assert lowest == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=5e-3)
 
 
+def test_a_target_that_a_trace_passes_is_reached_from_nearer_by(curve, monkeypatch):
+    """From two points far apart Newton's method may fail, and the whole branch was given up for that."""
+    solve_once = following.solve_from
+
+    def fail_from_afar(problem, latest, *others):
+        found = solve_once(problem, latest, *others)
+        return replace(found, converged=latest.problem.frequency < 1.01 * problem.frequency)
+
+    monkeypatch.setattr(following, "solve_from", fail_from_afar)
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    again = frequency_response(model, LAWS, FREQUENCIES, harmonics=9, progress=False)
+    assert again.jumps == ()
+    assert np.abs(again.output("tip")[-1, 1]) == pytest.approx(np.abs(curve.output("tip")[-1, 1]), rel=1e-6)
+
+
 def test_corners_are_not_leapt_over_from_afar():
     """The curve left the middle branch 5 % above its end; below the gap the mass is linear."""
     curve, turns = sweep_between_two_stops(9)
