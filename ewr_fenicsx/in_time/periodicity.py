@@ -19,10 +19,11 @@ _ALIKE = 0.5  # difference between the ways that a body goes in two periods, ove
 _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
 # What the last periods, so many, tell of deviations that grow: differences of states above a share of the oscillation,
-# apart from each other by another, and multipliers from which on it is looked what becomes of a small one: whether it
-# grows or falls by a factor, or in the end by a little, within so many periods.
-_REMEMBERED, _TOLD, _APART, _GROWING = 12, 1e-6, 1e-3, 1.01
-_SMALL, _FAR, _GROWN, _FOLLOWED = 1e-3, 3.0, 1.1, 25
+# apart from each other by some others (each misses what another one sees), and multipliers from which on it is looked
+# what becomes of a small one: whether it grows or falls by a factor, or has grown somewhat after so many periods: modes
+# that beat with each other make up for a little less.
+_REMEMBERED, _TOLD, _APART, _GROWING = 12, 1e-6, (1e-3, 1e-2, 1e-1), 1.01
+_SMALL, _FAR, _GROWN, _FOLLOWED = 1e-3, 3.0, 1.5, 40
 
 
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
@@ -171,13 +172,15 @@ class Anderson:
             return None
         before, after = before[:, differ] / size[differ], ends[:, differ] / size[differ]
         space, sizes, mix = np.linalg.svd(before, full_matrices=False)
-        kept = sizes > _APART * sizes[0]
-        after = after @ (mix[kept].T / sizes[kept])
-        multipliers, states = np.linalg.eig(space[:, kept].T @ (self._weight[:, None] * after))
-        most = np.argmax(np.abs(multipliers))
-        if not abs(multipliers[most]) > _GROWING:
-            return None
-        return _SMALL * self._oscillation * (after @ states[:, most].real)
+        multiplier, fastest = _GROWING, None
+        for apart in _APART:
+            kept = sizes > apart * sizes[0]
+            mapped = after @ (mix[kept].T / sizes[kept])
+            multipliers, states = np.linalg.eig(space[:, kept].T @ (self._weight[:, None] * mapped))
+            most = np.argmax(np.abs(multipliers))
+            if abs(multipliers[most]) > multiplier:
+                multiplier, fastest = abs(multipliers[most]), mapped @ states[:, most].real
+        return None if fastest is None else _SMALL * self._oscillation * fastest
 
 
 def is_left(scheme: TimeScheme, step: Callable[[RealArray, Carried], Period], last: Period, beside: RealArray) -> bool:
