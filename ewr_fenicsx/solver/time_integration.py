@@ -372,6 +372,7 @@ def integrate(
         reason += f"; {last.unsolved} of the last {scheme.steps} steps missed the contact tolerance in {sweeps} sweeps"
     steady = reason == "steady"
     beside = anderson.find_growing() if steady and acceleration else None
+    unstable = beside is not None and is_left(scheme, step, last, beside)
     return SteadyState(
         problem=problem,
         scheme=scheme,
@@ -386,5 +387,5 @@ def integrate(
         sweeps=sweeps_taken / (len(changes) * scheme.steps),
         seconds=time.perf_counter() - begin,
         transients={} if acceleration else watch.transients,
-        unstable=beside is not None and is_left(scheme, step, last, beside),
+        unstable=unstable,
     )
