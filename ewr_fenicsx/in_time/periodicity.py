@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
+from ewr_fenicsx.in_time.time_stepping import FRICTION, Carried, Period, TimeScheme
 
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if
@@ -15,7 +15,9 @@ from ewr_fenicsx.in_time.time_stepping import Carried, Period, TimeScheme
 # moves where all sticks). Where no load oscillates, what still moves is rounding beside where all is.
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
-_ALIKE = 0.5  # difference between the ways that a body goes in two periods, over the way
+# Difference between the ways that a body goes in two periods, over the way; where it is short; and where it fades away.
+_ALIKE, _CONSTANT, _FADES = 0.5, 1e-3, 1e-3
+WALKS = "every period ends elsewhere with the velocities that it began with: a body walks"
 _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
 # What the last periods, so many, tell of deviations that grow: differences of states above a share of the oscillation,
@@ -41,7 +43,7 @@ class Watch:
 
     Attributes:
         second_change: Relative change of the last period since the one before the one before it.
-        ways: How far the modal coordinates have gone in each of the last two periods, ``(n',)``.
+        ways: How far the modal coordinates have gone in each of the last three periods, ``(n',)``.
     """
 
     def __init__(self, scheme: TimeScheme):
@@ -89,7 +91,7 @@ class Watch:
             changes[k] = float(np.sqrt(change.max(initial=0.0)))
         self.earlier = [*self.earlier, motion][-2:]
         self.second_change = changes[1]
-        self.ways = [*self.ways, period.positions[-1] - period.positions[0]][-2:]
+        self.ways = [*self.ways, period.positions[-1] - period.positions[0]][-3:]
         return changes[0]
 
     @property
@@ -99,23 +101,44 @@ class Watch:
         return {name: values[:, i] for i, name in enumerate(self.names)}
 
 
-def walks_on(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> bool:
-    """Whether a period ends with the velocities that it began with, but elsewhere: a body moves on with each.
+def tell_walk(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> str:
+    """What to say where a period ends with the velocities that it began with, but elsewhere: a body moves on with each.
 
     Only what no spring holds does: a body on springs that creeps to where they hold it comes to rest there. ``ways`` is
-    as in ``Watch``: a body that has moved in one period alone may have come to rest as well.
+    as in ``Watch``: a body that has moved in one period alone may have come to rest as well, and one whose ways fade
+    away is to. A body that friction ought to stop may drift on for ever, by what it changes its velocity in half a
+    step: friction is none the other as long as it turns within the same step.
+
+    Returns:
+        "" where none does.
     """
     floats = scheme.contraction @ scheme.layout.expansion @ scheme.layout.model.rigid_modes
     moved = np.array(ways) @ floats @ np.linalg.pinv(floats)
-    if not floats.size or len(moved) < 2:
-        return False
+    if not floats.size or len(moved) < 3:
+        return ""
     weight = np.sqrt(np.maximum(scheme.mass, 0.0))
     speed = np.abs(weight * period.velocities).max(initial=0.0)
     changed = np.abs(weight * (period.velocities[-1] - period.velocities[0])).max(initial=0.0)
     gone, differs = (np.linalg.norm(weight * way) for way in (moved[-1], moved[-1] - moved[-2]))
     pushed = scheme.dt * np.abs(weight * scheme.velocity_of_load).max(initial=0.0)
-    far = max(_GONE * speed * scheme.steps * scheme.dt, _ROUNDED * pushed)  # where all sticks, both are rounding
-    return bool(changed <= _SAME * speed and gone > far and differs <= _ALIKE * gone)
+    duration = scheme.steps * scheme.dt
+    alike = _ALIKE if gone > _GONE * speed * duration else _CONSTANT
+    rounding = _ROUNDED * max(pushed, speed * duration)  # where all sticks, it is all that moves
+    fades = _fades((weight * moved) @ (weight * moved[-1]))
+    if changed > _SAME * speed or gone <= rounding or differs > alike * gone or fades:
+        return ""
+    turned = 0.5 * duration * np.abs(weight * np.diff(period.velocities, axis=0)).max()
+    if np.any(scheme.kind == FRICTION) and gone <= turned:
+        return f"{WALKS}, or drifts by no more than steps as long as these do not tell from none; take more of them"
+    return WALKS
+
+
+def _fades(ways: RealArray) -> bool:
+    """Whether the last three ways fall so that not even half of the last one is left in the end."""
+    before, last = np.diff(ways)
+    if not (before < 0 and last < -_FADES * ways[-1]):
+        return False
+    return bool(last <= before or ways[-1] - last**2 / (last - before) < 0.5 * ways[-1])
 
 
 class Anderson:
