@@ -15,6 +15,8 @@ from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside
 
 _CLOSED = 1e-3  # distance of facets face to face that are one, over that from the middle of the cell beside them
+_NEAREST = 8  # facets among which one that lies on another is looked for
+_EDGE = 1e-6  # of a facet's size, by which what lies on its edge may be outside
 
 
 def boundary_facets(mesh: JointMesh, name: str) -> np.ndarray:
@@ -91,11 +93,11 @@ def doubt_cracks(mesh: JointMesh) -> Iterator[str]:
     topology.create_connectivity(mesh.dimension - 1, mesh.dimension)
     facets = np.sort(dolfinx.mesh.exterior_facet_indices(topology)).astype(np.int32)
     body, middle, outward, depth, named = _gather_facets(mesh, facets, np.isin(facets, mesh.facet_tags.indices))
-    distance, partner = cKDTree(middle).query(middle, k=2)
-    itself = np.arange(len(middle))
-    other = np.where(partner[:, 0] == itself, partner[:, 1], partner[:, 0])
-    closed = (distance[:, 1] < _CLOSED * depth) & (np.sum(outward * outward[other], axis=1) < 0)
-    cracked = closed & (body == body[other]) & ~(named & named[other])
+    corners = np.concatenate(mesh.domain.comm.allgather(_find_corners(mesh, facets)))
+    cracked = np.zeros(len(middle), dtype=bool)
+    for other in cKDTree(middle).query(middle, k=range(1, min(_NEAREST, len(middle)) + 1))[1].T:
+        opposed = (np.sum(outward * outward[other], axis=1) < 0) & (body == body[other]) & ~(named & named[other])
+        cracked[opposed] |= _lie_in(middle[opposed], corners[other[opposed]], _CLOSED * depth[opposed])
     for name, tag in mesh.bodies.items():
         if len(crack := middle[cracked & (body == tag)]):
             first = crack[np.lexsort(np.round(crack.T / np.ptp(middle, axis=0).max(), 9))[0]]
@@ -106,6 +108,34 @@ def doubt_cracks(mesh: JointMesh) -> Iterator[str]:
                 "pieces share nodes (in gmsh: removeAllDuplicates, or fragment), or, where it is meant, give both "
                 "sides a physical group"
             )
+
+
+def _find_corners(mesh: JointMesh, facets: np.ndarray) -> np.ndarray:
+    """Corners of facets, as dolfinx orders them ``(n, k, 3)`` [m]."""
+    topology, facet = mesh.domain.topology, mesh.dimension - 1
+    topology.create_connectivity(facet, 0)
+    topology.create_connectivity(0, mesh.dimension)
+    corners_of = topology.connectivity(facet, 0)
+    corners = np.array([corners_of.links(f) for f in facets], dtype=np.int32).reshape(-1, len(corners_of.links(0)))
+    return dolfinx.mesh.compute_midpoints(mesh.domain, 0, corners.ravel()).reshape(*corners.shape, 3)
+
+
+def _lie_in(points: np.ndarray, corners: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
+    """Whether each point lies in a facet: an edge, a triangle, or a quadrilateral as two of these.
+
+    Args:
+        points: One a facet, ``(n, 3)`` [m].
+        corners: Of the facets, ``(n, k, 3)`` [m].
+        tolerance: Distances that are none, ``(n,)`` [m].
+    """
+    lies = np.zeros(len(points), dtype=bool)
+    for piece in (corners[:, :3], corners[:, 1:])[: corners.shape[1] - 2 or 1]:
+        sides, way = piece[:, 1:] - piece[:, :1], points - piece[:, 0]
+        along = np.linalg.solve(np.einsum("nik,njk->nij", sides, sides), np.einsum("nik,nk->ni", sides, way)[..., None])
+        apart = np.linalg.norm(way - np.einsum("ni,nik->nk", along[..., 0], sides), axis=1)
+        within = np.all(along[..., 0] > -_EDGE, axis=1) & (along[..., 0].sum(axis=1) < 1 + _EDGE)
+        lies |= within & (apart < tolerance)
+    return lies
 
 
 def _gather_facets(mesh: JointMesh, facets: np.ndarray, mark: np.ndarray | None) -> tuple[np.ndarray | None, ...]:

@@ -468,3 +468,12 @@ def test_facets_of_a_body_that_lie_on_one_another_are_a_crack(squares, extra, af
     for doubt in doubts:
         assert 'body "a" has a crack: 8 of its edges lie face to face and share no nodes, as at (1.5, 0.125) m' in doubt
         assert "let the pieces share nodes" in doubt
+
+
+@pytest.mark.parametrize("cells", [5, 9])
+def test_a_seam_drawn_twice_with_unlike_counts_of_nodes_is_a_crack(squares, cells):
+    extra = (
+        f"groups = [(2, surfaces, 'a')]\nfor c in curves[1][1::2]: gmsh.model.mesh.setTransfiniteCurve(c, {cells + 1})"
+    )
+    (doubt,) = doubt_cracks(build(squares(extra), width=1.5))
+    assert f'body "a" has a crack: {4 + cells} of its edges lie face to face' in doubt
