@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 import ufl
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from ewr_fenicsx.errors import MeshError, SceneError, nearest
@@ -160,11 +161,7 @@ class Structure:
         count = space.dofmap.index_map.size_global
         cells = np.arange(self.mesh.domain.topology.index_map(self.mesh.dimension).size_local)
         nodes = local_to_global(space, _compat.cell_dofs(space, cells)).reshape(len(cells), -1)
-        first = np.broadcast_to(nodes[:, :1], nodes.shape).ravel()
-        mine, here = connect(first, nodes.ravel(), count), np.unique(nodes)
-        leader = np.unique(mine, return_index=True)[1][mine]
-        links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
-        return connect(*links.T, count)
+        return number_connected(nodes, count, comm)
 
     @cached_property
     def idle_corners(self) -> np.ndarray:
@@ -189,6 +186,21 @@ def connect(one: np.ndarray, other: np.ndarray, count: int) -> np.ndarray:
     """Connected component of each of ``count`` nodes ``(count,)``, by pairs of nodes that are joined."""
     graph = scipy.sparse.coo_matrix((np.ones(len(one)), (one, other)), shape=(count, count))
     return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
+
+
+def number_connected(of_cells: np.ndarray, count: int, comm: MPI.Comm) -> np.ndarray:
+    """Connected component of each of ``count`` nodes or facets ``(count,)``, alike on all ranks; collective.
+
+    Args:
+        of_cells: Global numbers of those of this rank's cells, which join them, ``(cells, k)``.
+        count: How many there are.
+        comm: All its ranks must call.
+    """
+    first = np.broadcast_to(of_cells[:, :1], of_cells.shape).ravel()
+    mine, here = connect(first, of_cells.ravel(), count), np.unique(of_cells)
+    leader = np.unique(mine, return_index=True)[1][mine]
+    links = np.concatenate(comm.allgather(np.stack([here, leader[here]], axis=1)))
+    return connect(*links.T, count)
 
 
 def assemble_structure(

@@ -9,9 +9,11 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import ModesError
-from ewr_fenicsx.structure.boundaries import tell_place
-from ewr_fenicsx.structure.elasticity import Structure, body_nodes
+from ewr_fenicsx.structure import _compat
+from ewr_fenicsx.structure.boundaries import local_to_global, tell_place
+from ewr_fenicsx.structure.elasticity import Structure, body_nodes, number_connected
 from ewr_fenicsx.structure.interface import Interface
+from ewr_fenicsx.structure.mesh import find_body_of_cells
 
 _HELD = 1e-8  # motion of held degrees of freedom, over the largest of any rigid motion, below which it is rounding
 
@@ -108,14 +110,16 @@ def _refuse_loose(structure: Structure, loose: list[int]) -> None:
 
 
 def refuse_hinges(structure: Structure) -> None:
-    """Refuses bodies that are one part, by the nodes that they share, and that can turn about these; collective.
+    """Refuses pieces of the mesh that are one part, by nodes they share, and that can turn about these; collective.
+
+    A piece is what cells are that facets join, of one body or of several.
 
     Raises:
-        ModesError: Names two such bodies and a node.
+        ModesError: Names the bodies of two such pieces and a node.
     """
     d, part, comm = structure.mesh.dimension, structure.part, structure.mass.comm.tompi4py()
-    nodes = _gather_nodes(structure)
-    common = {both: np.intersect1d(*(nodes[body] for body in both)) for both in itertools.combinations(nodes, 2)}
+    nodes, bodies = _gather_pieces(structure)
+    common = {both: np.intersect1d(*(nodes[piece] for piece in both)) for both in itertools.combinations(nodes, 2)}
     shared = np.unique(np.concatenate([*common.values(), np.empty(0, dtype=np.int64)]))
     first, last = (end // d for end in structure.mass.getOwnershipRange())
     mine = shared[(shared >= first) & (shared < last)] - first
@@ -126,43 +130,67 @@ def refuse_hinges(structure: Structure) -> None:
         as_one = find_free_motions(structure, part == number).shape[1]
         if _count_motions(structure, number, nodes, place, here) <= as_one:
             continue
-        one, other = both = min(here, key=lambda both: len(here[both]))
+        both = min(here, key=lambda both: len(here[both]))
         count, spot = len(here[both]), tell_place(place[here[both][0]])
+        one, other = sorted(" and ".join(f'"{body}"' for body in bodies[piece]) for piece in both)
+        pair = f"two pieces of {one}" if one == other else f"{one} and {other}"
         raise ModesError(
-            f'"{one}" and "{other}" share {count} node{"s" * (count > 1)}, as at {spot}, about which they turn freely, '
+            f"{pair} share {count} node{'s' * (count > 1)}, as at {spot}, about which they turn freely, "
             "as on a hinge; let them share none, or those of a whole facet"
         )
+
+
+def _gather_pieces(structure: Structure) -> tuple[dict[int, np.ndarray], dict[int, list[str]]]:
+    """Of parts of several pieces, the global numbers of each piece's nodes and the names of its bodies; collective."""
+    mesh, space, comm = structure.mesh, structure.space, structure.mass.comm.tompi4py()
+    topology, d = mesh.domain.topology, mesh.dimension
+    topology.create_connectivity(d, d - 1)
+    count, cells = topology.index_map(d - 1).size_global, np.arange(topology.index_map(d).size_local)
+    beside = topology.connectivity(d, d - 1)
+    facets = topology.index_map(d - 1).local_to_global(beside.array).reshape(beside.num_nodes, -1)[cells]
+    piece = number_connected(facets, count, comm)[facets[:, 0]]
+    nodes = local_to_global(space, _compat.cell_dofs(space, cells)).reshape(len(cells), -1)
+    mine = np.unique(np.stack([structure.part[nodes[:, 0]], piece, find_body_of_cells(mesh)[cells]], axis=1), axis=0)
+    found = np.unique(np.concatenate(comm.allgather(mine)), axis=0)
+    several = {number for number in found[:, 0] if len({*found[found[:, 0] == number, 1]}) > 1}
+    named = {tag: name for name, tag in mesh.bodies.items()}
+    bodies: dict[int, list[str]] = {}
+    for number, one, tag in found:
+        if number in several:
+            bodies.setdefault(int(one), []).append(named[tag])
+    each = {one: comm.allgather(np.unique(nodes[piece == one])) for one in bodies}
+    return {one: np.unique(np.concatenate(of_ranks)) for one, of_ranks in each.items()}, bodies
 
 
 def _count_motions(
     structure: Structure,
     number: int,
-    nodes: Mapping[str, np.ndarray],
+    nodes: Mapping[int, np.ndarray],
     place: np.ndarray,
-    shared: Mapping[tuple[str, str], np.ndarray],
+    shared: Mapping[tuple[int, int], np.ndarray],
 ) -> int:
-    """How many motions supports leave to the bodies of a part, each of them rigid.
+    """How many motions supports leave to the pieces of a part, each of them rigid.
 
     Args:
         structure: With its supports.
         number: Of the part.
-        nodes: Of each body.
+        nodes: Of each piece.
         place: Of shared nodes, ``(n, d)`` [m].
-        shared: Which of these two bodies share in this part.
+        shared: Which of these two pieces share in this part.
     """
-    d, bodies = structure.mesh.dimension, sorted({body for both in shared for body in both})
+    d, pieces = structure.mesh.dimension, sorted({piece for both in shared for piece in both})
     mine = structure.part[structure.fixed // d] == number
     held, held_place = structure.fixed[mine], structure.fixed_places[mine]
     centre = place[np.concatenate([*shared.values()])].mean(axis=0)
     reach = float(np.abs(np.vstack([place, held_place]) - centre).max()) or 1.0
     rows = []
-    for body in bodies:
-        on = np.isin(held // d, nodes[body])
+    for piece in pieces:
+        on = np.isin(held // d, nodes[piece])
         stopped = np.linalg.qr(_move(held_place[on], held[on] % d, centre, reach), mode="r")  # as much, in few rows
-        rows.append(np.hstack([stopped * (body == other) for other in bodies]))
+        rows.append(np.hstack([stopped * (piece == other) for other in pieces]))
     for (one, other), at in shared.items():
         moved = _move(np.repeat(place[at], d, axis=0), np.tile(np.arange(d), len(at)), centre, reach)
         moved = np.linalg.qr(moved, mode="r")
-        rows.append(np.hstack([moved * ((body == one) - (body == other)) for body in bodies]))
+        rows.append(np.hstack([moved * ((piece == one) - (piece == other)) for piece in pieces]))
     sizes = np.linalg.svd(np.vstack(rows), compute_uv=False)
     return rows[0].shape[1] - np.count_nonzero(sizes > _HELD * sizes.max())

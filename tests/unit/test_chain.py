@@ -186,6 +186,13 @@ def test_bodies_that_share_a_node_beside_their_flank_are_told_of_it(tmp_path, de
     assert build(True, "[supports]\nhold = { side = 'x' }").reduction.model.rigid_modes.shape[1] == 0
 
 
+def test_a_body_with_a_hinge_of_its_own_is_told_of_it(tmp_path):
+    text = write_blocks(source=BLOCKS.with_name("hinged.py"), parameters="share = false, flap = true")
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(ModesError, match=r'^two pieces of "blade" share 1 node, as at \(0, 0\) m, about which'):
+        chain.build_chain(load_scene(tmp_path / "scene.toml"))
+
+
 def test_one_group_may_hold_both_bodies_or_be_followed_on_both(tmp_path):
     scene = f"""
 geometry.source = "{BLOCKS.with_name("flush_blocks.py")}"

@@ -173,6 +173,12 @@ def test_floating_structure_without_shift_is_refused():
         solve_modes(structure.stiffness, structure.mass, 4)
 
 
+def test_a_hinge_is_lost_in_rounding():
+    """All modes become its turn, and none is left to mix with it."""
+    with pytest.raises(ModesError, match=r"is lost in rounding, .* the stiffness is singular"):
+        solve_modes(*hold_clamp(assemble(TWO_BLOCKS.with_name("hinged.py"), {})), 10)
+
+
 def test_a_body_far_softer_than_another_is_not_told_to_float_only():
     """As by 210 for 210e9 Pa in one of two materials: nothing floats, and a scene has no shift to give."""
     mesh = build_mesh(FIR_TREE, {}, MPI.COMM_WORLD)
