@@ -122,8 +122,12 @@ class Contact(Section):
     @property
     def acts_by_itself(self) -> bool:
         """Whether the joint moves the bodies without a load; a law of one's own may."""
-        may_press = is_own(find_kind("normal", self.normal))
-        return may_press or self.initial_gap < 0 or bool(self.normal == "prescribed" and self.normal_force)
+        return is_own(find_kind("normal", self.normal)) or self.is_preloaded
+
+    @property
+    def is_preloaded(self) -> bool:
+        """Whether an interference or a given normal force presses bodies together without a load."""
+        return self.initial_gap < 0 or bool(self.normal == "prescribed" and self.normal_force)
 
 
 class Flank(Section):

@@ -59,7 +59,7 @@ def find_doubts(scene: Scene) -> Iterator[str]:
             "1 % of the final depth), and most are jumped over"
         )
     opening = [where for where, c in joint.items() if find_kind("normal", c.normal).opens and c.initial_gap == 0]
-    if opening and not (static_loads(scene) or any(c.initial_gap < 0 for c in joint.values())):
+    if opening and not (static_loads(scene) or any(c.is_preloaded for c in joint.values())):
         yield (
             f'{opening[0]}.normal = "{joint[opening[0]].normal}", and no load is static: nothing presses the joint '
             "together, and it gapes or rattles; was a static load (harmonic = 0, or a rotation) forgotten?"

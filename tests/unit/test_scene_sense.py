@@ -269,10 +269,12 @@ def test_doubts_are_warnings_that_say_what_was_probably_meant(read, text, expect
     assert len(scene.doubts) == 1
 
 
-def test_interference_of_a_flank_presses_the_joint(read):
-    own = "[flanks.left]\ninitial_gap = "
-    assert not any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "-1e-5").doubts)
-    assert any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "1e-5").doubts)
+@pytest.mark.parametrize("pressed", ["initial_gap = -1e-5", 'normal = "prescribed"\nnormal_force = 100.0'])
+def test_interference_or_a_given_force_on_a_flank_presses_the_joint(read, pressed):
+    """Also what meets on other flanks, as plates do under the heads of bolts."""
+    own = "[flanks.left]\n"
+    assert not any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + pressed).doubts)
+    assert any("nothing presses" in line for line in read(HEAD + SHAKE + AT + own + "initial_gap = 1e-5").doubts)
 
 
 def test_a_doubt_about_the_joint_is_told_once_and_where_it_stands(read):
