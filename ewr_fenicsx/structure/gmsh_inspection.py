@@ -32,9 +32,10 @@ _CELL_NAMES = {(2, 3): "triangle", (2, 4): "quadrilateral", (3, 4): "tetrahedron
 
 @dataclass(frozen=True)
 class Inspection:
-    """What rank 0 tells the others about the checked gmsh model; attributes as in ``mesh.JointMesh``."""
+    """What rank 0 tells the others about the checked gmsh model; attributes as in ``mesh.JointMesh``, and its nodes."""
 
     dimension: int
+    nodes: int
     bodies: dict[str, int]
     boundaries: dict[str, int]
     smallest_scaled_jacobian: float
@@ -95,7 +96,7 @@ def inspect_model(source: Path) -> Inspection:
                     f'{source}: body "{body}" has a {shape} that its curved sides turn inside out, at ({place}); take '
                     "more cells along the curve there, or thicker ones beside it"
                 )
-    return Inspection(dimension, bodies, boundaries, quality)
+    return Inspection(dimension, len(of_cells), bodies, boundaries, quality)
 
 
 def _drop_what_is_on_no_body(dimension: int) -> None:

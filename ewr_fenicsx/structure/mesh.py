@@ -140,7 +140,7 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
     Raises:
         MeshError: On every rank: no such file; an unknown, missing or wrong parameter; a builder that fails; no named
             body; cells of more than one type, outside all bodies, in two bodies, there twice or inverted; a boundary
-            off the bodies, or with facets of another one; a rank without cells.
+            off the bodies, or with facets of another one; a rank without cells, or ranks between which it parts.
     """
     source, failure, found = Path(source), None, None
     with ExitStack() as opened:
@@ -164,6 +164,12 @@ def build_mesh(source: Path, parameters: Mapping[str, object], comm: MPI.Comm) -
     if comm.allreduce(cells.size_local, op=MPI.MIN) == 0:
         few = f"{cells.size_global} cells leave one of {comm.size} ranks with none"
         raise MeshError(f"{source}: {few}; take fewer ranks")
+    if (doubled := domain.geometry.index_map().size_global - found.nodes) > 0:
+        raise MeshError(
+            f"{source}: on {comm.size} ranks the mesh comes apart, with more nodes than it has, by {doubled}: where "
+            "pieces share an edge or a corner and no facet, each rank has its own; let them share facets or nothing, "
+            "or take one rank"
+        )
     return JointMesh(domain, cell_tags, facet_tags, found.bodies, found.boundaries, found.smallest_scaled_jacobian)
 
 

@@ -47,6 +47,29 @@ def test_two_ranks_give_the_same_mesh(mpirun, tmp_path, name):
     ]
 
 
+def test_pieces_that_share_a_corner_alone_do_not_come_apart(mpirun, tmp_path):
+    """dolfinx gives each rank a node of its own there; each piece held, nothing else would tell."""
+    (tmp_path / "pieces.py").write_text("""
+import gmsh
+
+def build():
+    geo, corner, pieces, ends = gmsh.model.geo, gmsh.model.geo.addPoint(0.0, 0.0, 0.0), [], []
+    for side in (-0.01, 0.01):
+        points = [corner, *(geo.addPoint(side * x, side * y, 0.0) for x, y in ((1, 0), (1, 1), (0, 1)))]
+        lines = [geo.addLine(points[k - 1], points[k]) for k in range(4)]
+        pieces.append(geo.addPlaneSurface([geo.addCurveLoop(lines)]))
+        ends.append(lines[2])
+    geo.synchronize()
+    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, pieces), "blade")
+    gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, ends), "clamp")
+    gmsh.model.mesh.generate(2)
+""")
+    (tmp_path / "scene.toml").write_text(SCENE.replace("builder.py", "pieces.py"))
+    run = mpirun(2, "ewr", "info", "scene.toml", timeout=60.0)
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.count("pieces.py: on 2 ranks the mesh comes apart, with more nodes than it has, by 1") == 1
+
+
 def test_an_error_on_rank_0_is_raised_on_both(mpirun, tmp_path):
     script = tmp_path / "fail.py"
     script.write_text(f"""
