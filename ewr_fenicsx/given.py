@@ -64,10 +64,10 @@ def check_symmetry(name: str, matrix: RealArray) -> None:
         raise ModelError(
             f"{name} is not symmetric: largest difference {asymmetry:.3g}; symmetrise it or check its assembly"
         )
-    # where units are unlike, all of a triangle may be small beside the largest entry
-    own = np.sqrt(np.abs(np.diag(matrix)))
-    rounding = np.maximum(_SYMMETRY * np.outer(own, own), _ROUNDED * len(matrix) * largest)
-    alone = (np.abs(matrix) > rounding) & (matrix.T == 0)
+    alone = (matrix != 0) & (matrix.T == 0)
+    if np.any(alone):  # where units are unlike, all of a triangle may be small beside the largest entry
+        own = np.sqrt(np.abs(np.diag(matrix)))
+        alone &= np.abs(matrix) > np.maximum(_SYMMETRY * np.outer(own, own), _ROUNDED * len(matrix) * largest)
     if np.any(alone):
         i, j = np.argwhere(alone)[0]
         raise ModelError(
