@@ -289,7 +289,7 @@ class Follower:
 
         state_at = cache(lambda point: read_state(solution_at(point)))
 
-        meet = cache(lambda a, b: self._step(target, solution_at(b), solution_at(a)))  # at the target, between two points
+        meet = cache(lambda a, b: self._step(target, solution_at(b), solution_at(a)))  # at the target, from both
 
         def measure_room(a: BranchPoint, b: BranchPoint) -> float:
             change = compare_states(state_at(a), state_at(b)) if self.refine else 0.0
