@@ -11,6 +11,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, read_samples
+from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.model.receptance import receptance
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem
@@ -161,13 +162,16 @@ class PeriodicMotion:
         Zero where the law says that the pair sticks: there the truncated slip velocity rings about zero, which would
         add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing. Where
         no law says, pairs slide if their kind ``slides``, as in ``contact_state.classify_contact``, and else stick.
-        Where springs close the truncation, their ends slide: the truncated slip lacks what the springs bend. Pairs that
-        touch the limit now and then without sliding are left with rounding, which is zero here as well.
+        Where springs or dashpots close the truncation, their ends slide: the truncated slip lacks what these give way.
+        Pairs that touch the limit now and then without sliding are left with rounding, which is zero here as well.
 
         Raises:
             ModelError: No whole number of samples.
         """
-        return self._slide(*self._look_at_laws(samples))
+        stride, basis, reported = self._look_at_laws(samples)
+        slips = self._find_slipping(basis, reported)
+        speed = self._slide(basis, reported, self._press(basis, reported))
+        return np.where(slips, np.maximum(0.0, speed), 0.0)[::stride]
 
     def pressing_force(self, samples: int = 1024) -> RealArray:
         """Force that presses, and wears what slides, at every pair over one period, ``(samples, K_c)`` [N].
@@ -178,12 +182,18 @@ class PeriodicMotion:
         Raises:
             ModelError: No whole number of samples.
         """
-        return self._press(*self._look_at_laws(samples))
+        stride, basis, reported = self._look_at_laws(samples)
+        return self._press(basis, reported)[::stride]
 
     def press_and_slide(self, samples: int = 1024) -> tuple[RealArray, RealArray]:
-        """``pressing_force`` and ``sliding_speed``, with one look at the laws for both."""
-        seen = self._look_at_laws(samples)
-        return self._press(*seen), self._slide(*seen)
+        """``pressing_force`` and ``sliding_speed``, with one look at the laws for both: for means over the period.
+
+        Between sticking and slipping speeds are not cut off, and may be of either sign: about zero in solutions, and in
+        what estimates look at, which nearly are, such that in the mean they leave the work of friction.
+        """
+        stride, basis, reported = self._look_at_laws(samples)
+        force = self._press(basis, reported)
+        return force[::stride], self._slide(basis, reported, force)[::stride]
 
     def _look_at_laws(self, samples: int) -> tuple[int, FourierBasis, list[tuple]]:
         """Every which sample of a basis counts, that basis, and what each law reports there, as ``law_fields``."""
@@ -192,26 +202,58 @@ class PeriodicMotion:
         basis = FourierBasis(self.orders, stride * samples)
         return stride, basis, self.law_fields(basis)
 
-    def _press(self, stride: int, basis: FourierBasis, reported: list[tuple]) -> RealArray:
-        force = np.maximum(0.0, self.history("normal_force", basis.samples // stride))
+    def _press(self, basis: FourierBasis, reported: list[tuple]) -> RealArray:
+        force = np.maximum(0.0, self.history("normal_force", basis.samples))
         for law, fields in reported:
             if "admissible_normal_force" in fields:
-                force[:, law.pairs] = fields["admissible_normal_force"][::stride]
+                force[:, law.pairs] = fields["admissible_normal_force"]
         return force
 
-    def _slide(self, stride: int, basis: FourierBasis, reported: list[tuple]) -> RealArray:
+    def _slide(self, basis: FourierBasis, reported: list[tuple], pressing: RealArray) -> RealArray:
         velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
+        slips = self._find_slipping(basis, reported)
+        none = np.zeros(slips.shape)
+        for law, fields in reported:
+            if "surface_slip" in fields:
+                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
+                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
+        moves = np.max(slips * np.hypot.reduce([none, *velocity.values()]), axis=0) > ROUNDED * self.slip_reach
+        opposed, limit, normal = none.copy(), none.copy(), self.history("normal_force", basis.samples)
+        for law, force, beyond in self._find_forces_beyond(basis, reported):
+            velocity[law.direction][:, law.pairs] += beyond / law.impedance
+            opposed[:, law.pairs] -= force * velocity[law.direction][:, law.pairs]
+            limit[:, law.pairs] = law.limit({"normal": normal[:, law.pairs]})
+        speed = slips * np.hypot.reduce([none, *velocity.values()])
+        rubs = np.any(slips & (pressing > 0), axis=0)  # the others rest while they are pressed
+        speed = np.divide(opposed, limit, out=speed, where=(limit > 0) & rubs)
+        return np.where(moves, speed, 0.0)
+
+    def _find_forces_beyond(self, basis: FourierBasis, reported: list[tuple]) -> list[tuple]:
+        """Of laws whose truncation dashpots close: the law, friction, and what is left of it beyond the harmonics [N].
+
+        These harmonics are those of the solve, by its own samples: where it has converged, those of the unknown force.
+        """
+        own, name, found = self.problem.basis, "admissible_friction_force", []
+        for (law, fields), (_, solved) in zip(reported, self.law_fields(own), strict=True):
+            if isinstance(law, FrictionLaw) and not law.closes and law.impedance is not None and name in fields:
+                kept = own.to_amplitudes(own.project(solved[name]))
+                if own.has_mean:
+                    rows = self.problem.system.row_of(law.direction, law.pairs)
+                    mean, place = self.forces[0, rows].real, self.row_motion[0, rows].real
+                    besides = law.static_force_row * mean + law.static_displacement_row * place
+                    kept[0] = kept[0] - besides / law.static_row if law.static_row else mean
+                found.append((law, fields[name], fields[name] - basis.synthesise(kept)))
+        return found
+
+    def _find_slipping(self, basis: FourierBasis, reported: list[tuple]) -> np.ndarray:
+        """Where nothing holds the pairs, ``(n_t, K_c)`` bool."""
         slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
         for pairs, laws in self.problem.groups:
             slips[:, pairs] = any(kind.slides for kind in laws.kinds)
         for law, fields in reported:
             for name in {"slipping", "open"} & fields.keys():
                 slips[:, law.pairs] |= np.asarray(fields[name], dtype=bool)
-            if "surface_slip" in fields:
-                step = np.diff(fields["surface_slip"], axis=0, prepend=fields["surface_slip"][-1:])
-                velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
-        speed = slips * np.hypot.reduce([np.zeros(slips.shape), *velocity.values()])
-        return np.where(speed.max(axis=0) > ROUNDED * self.slip_reach, speed, 0.0)[::stride]
+        return slips
 
     @cached_property
     def slip_reach(self) -> RealArray:

@@ -32,9 +32,8 @@ def tabulate_wear_fields(history: WearHistory) -> dict[str, RealArray]:
     """
     pressure, sliding = np.empty(history.depth.shape), np.empty(history.depth.shape)
     for i, solution in enumerate(history.solutions):
-        force, speed = solution.press_and_slide(SAMPLES)
-        pressure[i] = force.mean(axis=0) / solution.problem.model.areas
-        sliding[i] = measure_sliding(speed, 1 / solution.problem.frequency)
+        pressure[i] = solution.pressing_force(SAMPLES).mean(axis=0) / solution.problem.model.areas
+        sliding[i] = measure_sliding(solution.sliding_speed(SAMPLES), 1 / solution.problem.frequency)
     indicator = np.broadcast_to(sliding.mean(axis=1)[:, None], sliding.shape)
     values = (history.gap, pressure, sliding, indicator)
     return dict(zip(WEAR_FIELDS, values, strict=True))

@@ -28,7 +28,8 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
     """
     period = 1 / solution.problem.frequency
     force, speed = solution.press_and_slide(SAMPLES)
-    return coefficient * period * np.mean(force / solution.problem.model.areas * speed, axis=0)
+    worn = coefficient * period * np.mean(force / solution.problem.model.areas * speed, axis=0)
+    return np.maximum(0.0, worn)
 
 
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:

@@ -411,7 +411,7 @@ def stop_after(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_last_step_of_wear_that_ends_early_is_as_accurate_as_asked(why, monkeypatch):
     """It had no estimate, and was over the accuracy that the summary said was reached."""
     if why == "no periodic solution":
-        stop_after(15, monkeypatch)
+        stop_after(13, monkeypatch)
     deepest = 3.38e-5 if why == "has worn" else None
     jump = Tolerance(share=0.1)
     history = evolve_wear(pose(), 3000, WEAR, jump, keep_every=3000, accuracy=0.1, deepest=deepest)
