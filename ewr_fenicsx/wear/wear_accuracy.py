@@ -1,13 +1,17 @@
 """Wear to an accuracy: harmonics, samples and weights chosen for the fresh joint, and again where it has changed.
 
 What is asked of the outputs is asked of the wear rate as well, which may take far more harmonics: where most pairs
-stick, the outputs hardly know of those that slide.
+stick, the outputs hardly know of those that slide. Where nothing wears, that may be for want of harmonics: few of them
+see pairs stick at once where they land. What the truncated force would wear of what passes by, which more of them take
+away, is then judged in its place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from ewr_fenicsx.accuracy.accuracy import AccurateSolution, solve_to_accuracy
 from ewr_fenicsx.accuracy.estimates import estimate_errors
@@ -16,7 +20,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.weights import adopt_weights
-from ewr_fenicsx.wear.archard import measure_wear_rate
+from ewr_fenicsx.wear.archard import SAMPLES, measure_wear_rate
 from ewr_fenicsx.wear.wear_store import WearStep
 
 
@@ -55,7 +59,7 @@ class AccurateWear:
 
         Where nothing more accurate is found, the step stays as it is, and its estimate says so.
         """
-        estimate = estimate_errors(step.solution, self.choice.get("modes", ()), self._rate).total
+        estimate = estimate_errors(step.solution, self.choice.get("modes", ()), self._judged_rate).total
         if estimate <= self.accuracy:
             return replace(step, estimate=estimate)
         posed = adopt_weights(step.solution.problem, self.problem)
@@ -69,6 +73,15 @@ class AccurateWear:
 
     def _rate(self, solution: PeriodicSolution) -> RealArray:
         return measure_wear_rate(solution, self.coefficient)
+
+    def _judged_rate(self, solution: PeriodicSolution) -> RealArray:
+        """The wear rate; where there is none, that by the truncated force, which presses on what passes by as well."""
+        rate = self._rate(solution)
+        if np.any(rate):
+            return rate
+        force, period = np.maximum(0.0, solution.history("normal_force", SAMPLES)), 1 / solution.problem.frequency
+        passed = np.mean(force / solution.problem.model.areas * solution.sliding_speed(SAMPLES), axis=0)
+        return self.coefficient * period * passed
 
     def _solve(
         self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None
@@ -85,7 +98,7 @@ class AccurateWear:
 
             choice["more_modes"] = keep_more
         found = solve_to_accuracy(
-            problem, self.accuracy, start, self.tolerance, first=first, figure=self._rate, **choice
+            problem, self.accuracy, start, self.tolerance, first=first, figure=self._judged_rate, **choice
         )
         return found, modes_of[found.solution.problem.model]
 
