@@ -89,7 +89,7 @@ def write_results(
     Raises:
         OutputError: The folder is taken, or cannot be written; or as ``check_own_fields``.
     """
-    check_own_fields(solution.problem)
+    check_own_fields(solution.problem, wears=chain.scene.wear is not None)
     comm, start = chain.mesh.domain.comm, time.perf_counter()
     compiled = _compat.measure_compilation()
     with result_folder(folder, overwrite=overwrite, comm=comm) as draft:
@@ -120,17 +120,22 @@ def write_results(
     return tuple(folder / name for name in do_with_files(lambda: read_summary(folder)["files"], comm))
 
 
-def check_own_fields(problem: ContactProblem) -> None:
+def check_own_fields(problem: ContactProblem, *, wears: bool) -> None:
     """Checks that what laws report can go to files of its own.
+
+    Args:
+        problem: Whose laws.
+        wears: Whether there are fields over the cycles as well.
 
     Raises:
         OutputError: Other files have that name, or none can have it.
     """
+    taken = FIELDS + FIELDS_OF_WEAR * (wears or problem.wear is not None)
     for _, laws in problem.groups:
         for kind in laws.kinds:
             for name in kind.histories:
                 impossible = "/" in name or not name.strip(".")
-                if impossible or name.removeprefix(SECOND) in FIELDS + FIELDS_OF_WEAR:
+                if impossible or name.removeprefix(SECOND) in taken:
                     why = "no file can have" if impossible else "result folders have a file of"
                     raise OutputError(f'{type(kind).__name__}.histories: "{name}": {why} that name; give another')
 

@@ -80,7 +80,8 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
         OutputError: ``work`` holds another study; or, before any work, as ``check_own_fields``.
         KeyboardInterrupt: Before there was a solution; or later, where ``work`` keeps it.
     """
-    check_own_fields(pose_problem(chain.scene, chain.reduction.model, chain.interface))
+    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    check_own_fields(problem, wears=chain.scene.wear is not None)
     through, watch = measure_thinnest_body(chain), Stopwatch(progress)
     study = _solve(chain, watch, work, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)

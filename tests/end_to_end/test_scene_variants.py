@@ -6,8 +6,9 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import gmsh
 import h5py
@@ -20,7 +21,10 @@ from small_scenes import BLOCKS, read_demo, write_blocks
 
 from ewr_fenicsx import load_scene, solve
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.laws import law_kinds
+from ewr_fenicsx.laws.law_kinds import LawKind
+from ewr_fenicsx.output.output import check_own_fields
 from ewr_fenicsx.response import frequency_sweep, response_curve
 from ewr_fenicsx.response.following import Jump
 from ewr_fenicsx.runs import study
@@ -320,10 +324,25 @@ def test_what_a_law_reports_takes_no_other_file_s_place(name, why, tmp_path, cap
     code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1).replace("slider_velocity", name)
     (tmp_path / "slider.py").write_text(code.replace('"jenkins"', '"named_slider"'))
     laws = "law_files = ['slider.py']\ntangential = 'named_slider'\nparameters = { spring = 1e7, limit = 3.0 }\n"
-    (tmp_path / "scene.toml").write_text(write_blocks(f"[contact]\n{laws}"))
+    wears = "[wear]\n" if name == "worn_gap" else ""  # no other folder has that
+    (tmp_path / "scene.toml").write_text(write_blocks(f"{wears}[contact]\n{laws}"))
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 2
     assert f'Jenkins.histories: "{name}": {why}' in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
+
+
+def test_fields_of_wear_leave_their_names_free_where_nothing_wears():
+    """A law's own were refused all the same."""
+
+    @dataclass(frozen=True)
+    class Reporting(LawKind):
+        histories = ("J_T", "second_mean_pressure")
+
+    problem = SimpleNamespace(groups=[(None, SimpleNamespace(kinds=(Reporting(),)))], wear=None)
+    check_own_fields(problem, wears=False)
+    for worn, wears in ((problem, True), (SimpleNamespace(groups=problem.groups, wear=np.zeros(1)), False)):
+        with pytest.raises(OutputError, match=r'Reporting\.histories: "J_T": result folders have a file'):
+            check_own_fields(worn, wears=wears)
 
 
 def test_a_phase_is_in_degrees(tmp_path):
