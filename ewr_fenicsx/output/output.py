@@ -23,7 +23,7 @@ import dolfinx
 import h5py
 import numpy as np
 
-from ewr_fenicsx.balance.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES
+from ewr_fenicsx.balance.periodic_motion import HISTORIES, SECOND, SECOND_HISTORIES, PeriodicMotion
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output import mesh_plots, plots, solid_plots
@@ -138,6 +138,21 @@ def check_own_fields(problem: ContactProblem, *, wears: bool) -> None:
                 if impossible or name.removeprefix(SECOND) in taken:
                     why = "no file can have" if impossible else "result folders have a file of"
                     raise OutputError(f'{type(kind).__name__}.histories: "{name}": {why} that name; give another')
+
+
+def check_own_histories(problem: ContactProblem) -> None:
+    """Checks that laws report what their kinds say, before any contact force is there.
+
+    Raises:
+        ModelError: A kind names a history that none of its laws reports.
+    """
+    system = problem.system
+    nothing = np.zeros((len(problem.basis.orders), len(system.rows)), dtype=complex)
+    apart = PeriodicMotion(problem, nothing, np.zeros(system.compliance.rigid_motion.shape[1]))
+    with np.errstate(all="ignore"):  # laws may divide by forces
+        for name in apart.histories:
+            if name not in HISTORIES + SECOND_HISTORIES:
+                apart.history(name, problem.basis.samples)
 
 
 def list_files(files: Sequence[Path]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from ewr_fenicsx.errors import EwrError, NotConverged
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output.gathering import measure_thinnest_body
-from ewr_fenicsx.output.output import check_own_fields
+from ewr_fenicsx.output.output import check_own_fields, check_own_histories
 from ewr_fenicsx.output.work_folder import refuse_other_work, take_up_model
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.runs import findings
@@ -77,11 +77,14 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
 
     Raises:
         EwrError: As ``solve``, ``frequency_response`` and ``evolve_wear``.
-        OutputError: ``work`` holds another study; or, before any work, as ``check_own_fields``.
+        ModelError, OutputError: ``work`` holds another study; or, before any work, as ``check_own_fields`` and
+            ``check_own_histories``.
         KeyboardInterrupt: Before there was a solution; or later, where ``work`` keeps it.
     """
     problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
     check_own_fields(problem, wears=chain.scene.wear is not None)
+    if problem.own_kinds:
+        check_own_histories(problem)
     through, watch = measure_thinnest_body(chain), Stopwatch(progress)
     study = _solve(chain, watch, work, through)
     doubts = findings.doubt_small_motion(study.solution, chain.interface, through)

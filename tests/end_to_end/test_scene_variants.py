@@ -331,6 +331,19 @@ def test_what_a_law_reports_takes_no_other_file_s_place(name, why, tmp_path, cap
     assert not (tmp_path / "results").exists()
 
 
+def test_what_a_law_does_not_report_is_told_before_any_solve(tmp_path, capsys, monkeypatch):
+    """A slip of the pen in its kind's histories was told when the results were written, and the solution lost."""
+    monkeypatch.setattr(study, "solve", None)
+    monkeypatch.setattr(law_kinds, "_KINDS", dict(law_kinds._KINDS))  # to be forgotten again
+    recipe = (ROOT / "docs" / "adding_a_law.md").read_text(encoding="utf-8")
+    code = re.search(r"```python\n(.*?)```", recipe, re.DOTALL).group(1).replace('"slider_velocity"', '"slider"', 1)
+    (tmp_path / "slider.py").write_text(code.replace('"jenkins"', '"silent_slider"'))
+    laws = "law_files = ['slider.py']\ntangential = 'silent_slider'\nparameters = { spring = 1e7, limit = 3.0 }\n"
+    (tmp_path / "scene.toml").write_text(write_blocks(f"[contact]\n{laws}"))
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "results")]) == 2
+    assert 'a kind names "slider" in its histories, and no law of it reports that' in capsys.readouterr().err
+
+
 def test_fields_of_wear_leave_their_names_free_where_nothing_wears():
     """A law's own were refused all the same."""
 
