@@ -127,6 +127,12 @@ def read_state(solution: PeriodicSolution) -> ComplexArray:
     return oscillates * (solution.row_motion + system.flexibility * solution.forces)
 
 
+def read_whole_motion(solution: PeriodicSolution) -> ComplexArray:
+    """What oscillates of all coordinates, ``(n_h, n)``, each by the root of its stiffness: of one unit [J^(1/2)]."""
+    oscillates = np.array(solution.orders)[:, None] > 0
+    return oscillates * solution.coordinates * np.sqrt(np.abs(solution.problem.model.stiffness.diagonal()))
+
+
 def compare_states(a: ComplexArray, b: ComplexArray) -> float:
     """Distance of two states over the larger one."""
     size = max(np.linalg.norm(a), np.linalg.norm(b))
@@ -145,8 +151,8 @@ class Follower:
     Args:
         problem_at: Frequency [Hz] -> problem.
         lowest, highest: Range of the whole curve [Hz]; its width is the unit of arc length.
-        refine: Largest relative change of state between neighbouring points that are kept, or None: only the targets
-            are kept.
+        refine: Largest relative change of state between neighbouring points that are kept, of a linear joint that of
+            its motion, or None: only the targets are kept.
         tolerance: As in ``solve``.
         tell: What is called now and then where a branch turns back, with a few words on how far it has been traced.
     """
@@ -179,7 +185,8 @@ class Follower:
                 found, surprise, change = self._step(f, here, before)
                 tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
                 lost, far = surprise > LARGEST_SURPRISE, bool(self.refine) and change > self.refine
-                traced = self._trace(begun, here, before, target) if tiny and (lost or far) else None
+                turns = tiny and (lost or far) and here.problem.system.rows.shape[0]
+                traced = self._trace(begun, here, before, target) if turns else None
                 if traced and (lost or not traced.jumps):
                     curve.extend(traced)
                     reach = np.inf
@@ -232,6 +239,8 @@ class Follower:
         found = solve_from(self._pose(f, here), here, before, ratio, self.tolerance)
         if not found.converged:
             return found, np.inf, np.inf
+        if not found.problem.system.rows.shape[0]:  # linear: there is no other branch
+            return found, 0.0, compare_states(read_whole_motion(found), read_whole_motion(here))
         state, last = read_state(found), read_state(here)
         change = compare_states(state, last)
         if before is None:

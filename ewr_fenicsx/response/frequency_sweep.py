@@ -74,8 +74,8 @@ def frequency_response(
         harmonics: As in ``ContactProblem``.
         progress: Whether rank 0 shows how far it is and how long the rest will take; so does what the curve is
             asked for later.
-        refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative;
-            points are inserted between the given ones until it holds. None: none are.
+        refine: Adaptive frequencies: largest change of the contact's state between neighbouring points, relative, of a
+            linear joint that of its motion; points are inserted between the given ones until it holds. None: none are.
         tolerance: As in ``solve``.
         accuracy: As in ``solve_to_accuracy``, of every solution. The curve is followed with ``harmonics``, then each of
             its points is solved again with as many as it takes. None: ``harmonics`` are what is used.

@@ -53,6 +53,17 @@ def test_adaptive_frequencies_resolve_the_resonance():
     assert steps[near].max() < 0.5 * steps.max(), "points are where the curve bends"
 
 
+def test_adaptive_frequencies_resolve_the_resonance_of_a_linear_joint_too():
+    """No contact's state changes there: no point was inserted, and a peak between two points was missed."""
+    model = friction_oscillator(damping=0.01)
+    laws = ContactLaws("prescribed", "frictionless", normal_force=1.0)
+    curve = frequency_response(model, laws, [0.1, 0.2, 0.3], refine=0.1, progress=False)
+    assert np.abs(curve.output("tip")[:, 1]).max() == pytest.approx(100.0, rel=2e-3)
+    undamped = frequency_response(replace(model, damping=[[0.0]]), laws, [0.1, 0.2], refine=0.1, progress=False)
+    assert np.abs(undamped.output("tip")[:, 1]).max() > 1e4
+    assert len(undamped.solutions) < 500
+
+
 @pytest.mark.parametrize(
     "gap, frequencies, harmonics, refine",
     [
