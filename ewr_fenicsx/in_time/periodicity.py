@@ -15,7 +15,7 @@ from ewr_fenicsx.in_time.time_stepping import FRICTION, Carried, Period, TimeSch
 # moves where all sticks). Where no load oscillates, what still moves is rounding beside where all is.
 _STILL, _CANCELLED, _ROUNDED = 1e-4, 1e-3, 1e-6
 _SAME, _GONE = 1e-2, 1e-2  # change of velocities, and of positions, over the largest speed and the way at it
-# Difference between the ways that a body goes in two periods, over the way; where it is short; and where it fades away.
+# Difference between the ways that a body goes in two periods, over the way; where it is short; and of what fades away.
 _ALIKE, _CONSTANT, _FADES = 0.5, 1e-3, 1e-3
 WALKS = "every period ends elsewhere with the velocities that it began with: a body walks"
 _WINDOW = 6  # periods that the extrapolation looks back on
@@ -124,8 +124,8 @@ def tell_walk(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> 
     duration = scheme.steps * scheme.dt
     alike = _ALIKE if gone > _GONE * speed * duration else _CONSTANT
     rounding = _ROUNDED * max(pushed, speed * duration)  # where all sticks, it is all that moves
-    fades = _fades((weight * moved) @ (weight * moved[-1]))
-    if changed > _SAME * speed or gone <= rounding or differs > alike * gone or fades:
+    fading = fades((weight * moved) @ (weight * moved[-1]))
+    if changed > _SAME * speed or gone <= rounding or differs > alike * gone or fading:
         return ""
     turned = 0.5 * duration * np.abs(weight * np.diff(period.velocities, axis=0)).max()
     if np.any(scheme.kind == FRICTION) and gone <= turned:
@@ -133,12 +133,12 @@ def tell_walk(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> 
     return WALKS
 
 
-def _fades(ways: RealArray) -> bool:
-    """Whether the last three ways fall so that not even half of the last one is left in the end."""
-    before, last = np.diff(ways)
-    if not (before < 0 and last < -_FADES * ways[-1]):
+def fades(values: Sequence[float]) -> bool:
+    """Whether the last three values, positive at last, fall so that not even half of the last one is left in the end."""
+    before, last = np.diff(values[-3:])
+    if not (before < 0 and last < -_FADES * values[-1]):
         return False
-    return bool(last <= before or ways[-1] - last**2 / (last - before) < 0.5 * ways[-1])
+    return bool(last <= before or values[-1] - last**2 / (last - before) < 0.5 * values[-1])
 
 
 class Anderson:

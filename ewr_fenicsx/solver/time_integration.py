@@ -13,7 +13,7 @@ from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.lifting import lift_out
-from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, is_left, tell_walk
+from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, is_left, tell_walk
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
@@ -362,7 +362,7 @@ def integrate(
                 reason = f"it repeats itself after {periods} periods"
             elif walk := tell_walk(last, watch.ways, scheme):
                 reason += f"; {walk}"
-            elif follows and tolerance and watch.second_change <= tolerance:
+            elif follows and tolerance and watch.second_change <= tolerance and not fades(changes):
                 reason += "; every second one is the same: step at half the frequency, loads at twice their harmonics"
             elif not acceleration and (missing := count_missing(changes, tolerance)):
                 reason += f"; what a period changes falls steadily: some {missing} more may do"

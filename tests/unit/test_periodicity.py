@@ -56,3 +56,17 @@ def test_extrapolation_ends_on_the_branch_between_two_folds_and_says_so():
     onto, away = (integrate(problem, near, 512, theta=0.52, acceleration=fast) for fast in (True, False))
     assert onto.converged and onto.unstable and away.converged and not away.unstable
     assert abs(onto.output("tip")[1]) > 1.2 and abs(away.output("tip")[1]) < 0.8
+
+
+def test_what_alternates_and_decays_is_said_to_decay():
+    """A mass that vibrates three times in two periods: next to steady, every second one was to be the same."""
+    frequency, decay = 1.0, 0.97
+    damping, swings = -2 * np.log(decay) * frequency, 3 * np.pi * frequency
+    stiffness = swings**2 + damping**2 / 4
+    model = ReducedModel([[1.0]], [[damping]], [[stiffness]], [[1.0]], load={1: [1.0]}, outputs={"mass": [1.0]})
+    given = ContactLaws("prescribed", "frictionless", normal_force=1.0)
+    problem = ContactProblem(model, given, frequency, 1)
+    whole = integrate(problem, "rest", steps=100, periods=400, tolerance=1e-4)
+    early = integrate(problem, "rest", steps=100, periods=whole.periods - 3, tolerance=1e-4)
+    assert whole.converged and not early.converged
+    assert "every second one" not in early.reason and "some 3 more may do" in early.reason
