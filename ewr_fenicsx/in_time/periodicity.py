@@ -134,7 +134,7 @@ def tell_walk(period: Period, ways: Sequence[RealArray], scheme: TimeScheme) -> 
 
 
 def fades(values: Sequence[float]) -> bool:
-    """Whether the last three values, positive at last, fall so that not even half of the last one is left in the end."""
+    """Whether the last three values, positive at last, fall so that less than half of that is left in the end."""
     before, last = np.diff(values[-3:])
     if not (before < 0 and last < -_FADES * values[-1]):
         return False
