@@ -20,6 +20,7 @@ from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
+from ewr_fenicsx.in_time.periodicity import fades
 from ewr_fenicsx.laws.law_kinds import TANGENTS, choose_friction_weight
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.law_claims import read_fields
@@ -29,7 +30,7 @@ HELD = 1e-5  # share below which friction holds it: what decides its mean force 
 DRAWN_OUT = 100.0  # at rest, where nothing is truncated: times the natural length that springs may be drawn out
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 # Periods in time for which a body is watched; and how many times faster than at their end it may have gone half-way
-# where its motion has settled
+# where its motion has settled; a third of them apart, ways that fade away are none that last
 WATCHED, NO_FASTER = 12, 1.5
 FINER, MOST_STEPS = 4, 8192  # how much shorter the steps where they may make it drift, and how many at most
 NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
@@ -73,35 +74,43 @@ def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     return bool(left.max() > noticed * largest)
 
 
-def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance) -> Walk | None:
+def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance, expected: Walk) -> Walk | None:
     """How a body that hangs on friction goes on in time, some periods after it begins on a solution of a balance.
+
+    Args:
+        motion: The solution.
+        balance: The balance.
+        expected: How it walks as the solution has it (``measure_walk``).
 
     Returns:
         None where its motion cannot be stepped, or has not settled to a walk or none.
     """
-    steps, walk = STEPS_IN_TIME, _watch(motion, balance, STEPS_IN_TIME)
-    while walk and walk.slow and steps < MOST_STEPS:  # steps hold what drifts by less than they turn friction
+    steps, (walk, held) = STEPS_IN_TIME, _watch(motion, balance, STEPS_IN_TIME)
+    # steps hold what drifts, and what ought to, by less than they turn friction
+    while walk and (walk.slow or expected.slow) and steps < MOST_STEPS:
         steps, coarse = FINER * steps, walk
-        walk = _watch(motion, balance, steps)
-        if walk and walk.way > coarse.way / NO_FASTER:
+        walk, held = _watch(motion, balance, steps)
+        if walk and walk.way > max(coarse.way / NO_FASTER, held):
             break
     return walk
 
 
-def _watch(motion: PeriodicMotion, balance: HarmonicBalance, steps: int) -> Walk | None:
-    """The same with so many steps a period."""
+def _watch(motion: PeriodicMotion, balance: HarmonicBalance, steps: int) -> tuple[Walk | None, float]:
+    """The same with so many steps a period; and the way that these may hold: friction turns in the same step still."""
     rubs, ways = balance.static_displacement_row > 0, []
     try:
         for scheme, period in islice(step_from(motion, steps, THETA), WATCHED):
             slip = period.positions @ scheme.rows.T
             ways.append(float(measure_in_plane(balance.system, slip[-1] - slip[0])[rubs].max()))
     except (ModelError, ImportError):
-        return None
-    if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1]:
-        return None
+        return None, 0.0
+    third = WATCHED // 3
+    if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1] or fades(ways[third - 1 :: third]):
+        return None, 0.0
     way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
     slid = measure_in_plane(balance.system, np.diff(slip, axis=0)).sum(axis=0)
-    return Walk(1.0, way, float(slid[rubs].max()))
+    turned = measure_in_plane(balance.system, np.diff(period.velocities @ scheme.rows.T, axis=0)).max(axis=0)
+    return Walk(1.0, way, float(slid[rubs].max())), 0.5 * float(turned[rubs].max()) / motion.problem.frequency
 
 
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:

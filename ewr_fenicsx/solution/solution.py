@@ -156,7 +156,8 @@ class PeriodicSolution(PeriodicMotion):
         balance, unknowns = self.pose()
         if not balance.hangs_on_friction:
             return None
-        walk = watch_walk(self, balance) or measure_walk(balance, unknowns)
+        expected = measure_walk(balance, unknowns)
+        walk = watch_walk(self, balance, expected) or expected
         return walk if walk.slow else None
 
     def _list_unfollowed(self) -> list[str]:

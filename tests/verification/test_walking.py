@@ -108,6 +108,31 @@ def test_a_body_that_comes_to_rest_where_it_is_pushed_to_does_not_walk():
     assert "walks" not in moved.reason
 
 
+@pytest.mark.parametrize(
+    ("loads", "harmonics"),
+    [({1: 6.432, 0: 0.00053}, 7), ({1: 5.391, 2: -0.003 - 0.021j}, 11), ({1: 9.278, 2: 0.082 + 0.036j}, 11)],
+)
+def test_a_walk_that_long_steps_hold_is_told(loads, harmonics):
+    """By a fifth to two fifths of a per cent of what slides: of 512 steps friction turns in the same one with it."""
+    problem = sled(loads)
+    walk = solve(replace(problem, harmonics=harmonics)).walks_slowly
+    assert walk.way == pytest.approx(abs(drift(problem)), rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("loads", "harmonics"),
+    [
+        ({1: 4.663, 3: -0.48 + 0.64j}, 7),
+        ({1: -3.992 - 0.378j, 5: 0.163}, 5),
+        ({1: 21.384, 3: -0.053 + 0.824j}, 5),
+        ({1: 20.0, 3: 6.0}, 3),
+    ],
+)
+def test_a_drift_that_long_steps_hold_is_no_walk(loads, harmonics):
+    """By symmetry no odd loads make a body walk; few harmonics throw it off as a motion in time begins."""
+    assert solve(replace(sled(loads), harmonics=harmonics)).walks_slowly is None
+
+
 def test_a_body_whose_drift_fades_does_not_walk():
     """Thrown off while it is shaken, far above friction: by two per cent a period friction slows it down."""
     shaken = sled({1: 200.0}, 5.0)
