@@ -131,6 +131,7 @@ def pair_interface(
     _check_names(mesh, [body_a, *filter(None, [body_b])], [*(flanks or ()), *chain.from_iterable(beyond.values())])
     # ranks must go through the same collective calls in the same order
     sides, apart = ({}, []) if body_b is None else _find_sides(structure, flanks, body_a, body_b, in_use)
+    crowded = [n for n, both in sides.items() if len(_gather_side(structure, n).area) > sum(len(s.area) for s in both)]
     if not (sides or beyond):
         raise InterfaceError(
             f'no boundary touches both "{body_a}" and "{body_b}"; give each flank one physical '
@@ -146,6 +147,7 @@ def pair_interface(
         sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
     closes = dict.fromkeys(beyond, "; see sectors, centre, axis and which comes first in cyclic.flanks")
     closes |= dict.fromkeys(apart, "; or, if it is no flank, name the flanks in contact.flanks")
+    closes |= dict.fromkeys(crowded, f"; a third body is on it, too: a joint has two, make that a part of {body_b}")
     names = tuple(sides)
     paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes.get(n, "")) for n in names]
     for name, (a, b) in zip(names, paired, strict=True):

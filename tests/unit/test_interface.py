@@ -146,6 +146,11 @@ def test_unequal_node_counts_are_named():
         pair_interface(structure)
 
 
+def test_a_third_body_on_a_flank_is_told():
+    with pytest.raises(InterfaceError, match=r"same transfinite count; a third body is on it, .* a part of disk$"):
+        pair_interface(assemble(PILE, lid="joint"), ["joint"])
+
+
 @pytest.mark.parametrize(
     "flank, told", [("tip", r"\d+ nodes on the blade, 0 on"), ("clamp", r"0 nodes on the blade, \d+ on")]
 )
