@@ -131,9 +131,9 @@ def _lie_in(points: np.ndarray, corners: np.ndarray, tolerance: np.ndarray) -> n
     lies = np.zeros(len(points), dtype=bool)
     for piece in (corners[:, :3], corners[:, 1:])[: corners.shape[1] - 2 or 1]:
         sides, way = piece[:, 1:] - piece[:, :1], points - piece[:, 0]
-        along = np.linalg.solve(np.einsum("nik,njk->nij", sides, sides), np.einsum("nik,nk->ni", sides, way)[..., None])
-        apart = np.linalg.norm(way - np.einsum("ni,nik->nk", along[..., 0], sides), axis=1)
-        within = np.all(along[..., 0] > -_EDGE, axis=1) & (along[..., 0].sum(axis=1) < 1 + _EDGE)
+        along = np.einsum("nki,nk->ni", np.linalg.pinv(sides), way)  # also of a face with a flat corner
+        apart = np.linalg.norm(way - np.einsum("ni,nik->nk", along, sides), axis=1)
+        within = np.all(along > -_EDGE, axis=1) & (along.sum(axis=1) < 1 + _EDGE)
         lies |= within & (apart < tolerance)
     return lies
 
