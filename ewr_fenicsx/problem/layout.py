@@ -21,6 +21,7 @@ from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.restriction import bound_motion, restrict
 from ewr_fenicsx.model.rigid_modes import find_own_units
 
+_REDUNDANT = 1e-10  # share of a bonded row that others leave of it, below which it is one of them
 _OBEYED = 1e-8  # motion of bonded rows by rigid modes, over what they could see, below which it is rounding
 _ROUNDED = 1e-12  # share of a row that bonds leave of it, or beside the pair's others, below which it is rounding
 
@@ -215,16 +216,19 @@ def _moves(model: ReducedModel, tangent: str, pairs: np.ndarray) -> np.ndarray:
 def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]:
     """Bond contact rows: the model on the motions that leave ``rows @ x = 0``.
 
-    Redundant rows do no harm, and neither do zero ones, of clamped pairs. Rigid modes are those that are left. Which
-    rows are redundant is asked in the stiffness's own units: where those of coordinates are unlike, as of modes beside
-    responses to unit forces, rows that differ in the latter alone would look alike.
+    As many coordinates as there are independent rows follow the others, which stay as they are: mixed with such as have
+    far more inertia, as on weak springs, they would lose their digits. Redundant rows do no harm, and neither do zero
+    ones, of clamped pairs. Rigid modes are those that are left. What is redundant, and what follows, is asked in the
+    stiffness's own units: where those of coordinates are unlike, as of modes beside responses to unit forces, rows that
+    differ in the latter alone would look alike.
 
     Args:
         model: The model.
         rows: ``(m, n)`` rows held.
 
     Returns:
-        The smaller model and the basis ``T``, ``(n, n - rank)``, orthonormal in these units, with ``x = T y``.
+        The smaller model and the basis ``T``, ``(n, n - rank)``, with ``x = T y``: ``y`` are those that stay, in these
+        units.
 
     Raises:
         ModelError: Nothing is left to move.
@@ -232,16 +236,23 @@ def hold(model: ReducedModel, rows: RealArray) -> tuple[ReducedModel, RealArray]
     rows = rows[np.any(rows != 0, axis=1)]
     if rows.shape[0] == 0:
         return model, np.eye(model.size)
-    units = find_own_units(model.stiffness, model.mass)[:, None]
-    own = rows / units.T
-    free = scipy.linalg.null_space(own / np.linalg.norm(own, axis=1, keepdims=True), rcond=1e-10)
-    if free.shape[1] == 0:
+    units = find_own_units(model.stiffness, model.mass)
+    own = rows / units
+    triangle, order = scipy.linalg.qr(own / np.linalg.norm(own, axis=1, keepdims=True), mode="r", pivoting=True)
+    sizes = np.abs(np.diag(triangle))
+    rank = np.count_nonzero(sizes > _REDUNDANT * sizes[0])
+    if rank == model.size:
         raise ModelError(
             f"bonds hold all {model.size} coordinates of the model, and nothing is left to move; bond fewer pairs or "
             "directions, or give a model with more coordinates"
         )
-    basis = free / units
-    return restrict(model, basis, free.T @ (units * _rigid_modes_that_obey(model, rows))), basis
+    others = rank + np.argsort(order[rank:])
+    follow, stay = order[:rank], order[others]
+    free = np.zeros((model.size, stay.size))
+    free[stay, range(stay.size)] = 1.0
+    free[follow] = -scipy.linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, others])
+    basis = free / units[:, None]
+    return restrict(model, basis, units[stay, None] * _rigid_modes_that_obey(model, rows)[stay]), basis
 
 
 def _rigid_modes_that_obey(model: ReducedModel, rows: RealArray) -> RealArray:

@@ -418,6 +418,25 @@ def test_redundant_bonds_do_no_harm():
     np.testing.assert_allclose(*eigenvalues, rtol=1e-9, atol=1e-9 * eigenvalues[0].max())
 
 
+def test_bonds_to_bodies_on_weak_springs_keep_their_digits():
+    """Beside a soft suspension: what is bonded there has far more inertia than its own springs would tell."""
+    random, n, bodies = np.random.default_rng(0), 11, [8, 9, 10]
+    spread, stiff = random.normal(size=(7, 7)), slice(1, 8)
+    mass, stiffness = np.diag([5.0, *[1.0] * 3, *[0.01] * 4, *[10.0] * 3]), np.diag([1e-4] * n)
+    stiffness[stiff, stiff] = 1e9 * (spread @ spread.T / 7 + 0.05 * np.eye(7))
+    bonds = np.eye(n)[bodies] - np.eye(n)[[4, 5, 6]] + 0.3 * np.eye(n)[[9, 10, 8]]
+    damping, force, omega = 1e-6 * stiffness + 5.0 * mass, 100.0 * random.normal(size=n), 2 * np.pi * 2000.0
+    outputs = {f"x{k}": row for k, row in enumerate(np.eye(n))}
+    model = ReducedModel(mass, damping, stiffness, tangential=bonds, load={1: force}, outputs=outputs)
+    laws = ContactLaws("prescribed", "bonded", normal_force=0.0)
+    solution = solve(ContactProblem(model, laws, omega / (2 * np.pi), harmonics=(1,)))
+    impedance = stiffness + 1j * omega * damping - omega**2 * mass
+    whole = np.block([[impedance, bonds.T], [bonds, np.zeros((3, 3))]])  # with the forces in the bonds
+    exact = np.linalg.solve(whole, [*force, 0.0, 0.0, 0.0])[:n]
+    moved = [solution.output(name)[0] for name in outputs]
+    np.testing.assert_allclose(moved, exact, rtol=0, atol=1e-9 * np.abs(exact).max())
+
+
 def test_holding_all_motions_is_refused():
     model = ReducedModel(**PLAIN | {"tangential": [[0.0, 1.0]]})
     with pytest.raises(
