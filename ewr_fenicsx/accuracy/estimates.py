@@ -50,7 +50,6 @@ CLEAR = 4.0  # times above or below the accuracy, where one step's estimate need
 # Unknowns of a solution, up to which a neighbouring problem is solved where single steps fail: that has twice as many,
 # and at 1500 took ten times the solve itself
 LARGEST_AHEAD = 1000
-SLIDING_SAMPLES = 256  # a period, at which sliding is compared
 SURPRISE = 5.0  # times below how far the solution moved with its last harmonics, where it needs one after all
 # Of the estimated error of the sliding: over that of the response, and by itself, from where on it is worth a word
 FAR_OFF, WORTH_A_WORD = 2.0, 0.05
@@ -245,7 +244,7 @@ def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> floa
     That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way.
     """
     slid, rubbed = [], []
-    for force, speed in (each.press_and_slide(SLIDING_SAMPLES) for each in (ahead, solution)):
+    for force, speed in (each.press_and_slide(each.problem.basis.samples) for each in (ahead, solution)):
         slid.append(float(np.mean(speed)))
         rubbed.append(float(np.mean(force * speed)))
     if not max(slid) > AT_REST * float(np.mean(solution.slip_reach)):

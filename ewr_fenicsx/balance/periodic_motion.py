@@ -234,7 +234,8 @@ class PeriodicMotion:
         These harmonics are those of the solve, by its own samples: where it has converged, those of the unknown force.
         """
         own, name, found = self.problem.basis, "admissible_friction_force", []
-        for (law, fields), (_, solved) in zip(reported, self.law_fields(own), strict=True):
+        by_own = reported if basis.samples == own.samples else self.law_fields(own)
+        for (law, fields), (_, solved) in zip(reported, by_own, strict=True):
             if isinstance(law, FrictionLaw) and not law.closes and law.impedance is not None and name in fields:
                 kept = own.to_amplitudes(own.project(solved[name]))
                 if own.has_mean:
