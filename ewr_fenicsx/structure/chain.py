@@ -35,6 +35,7 @@ from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
 from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
 from ewr_fenicsx.structure.mesh import JointMesh, Ring, build_mesh, measure_extent
 from ewr_fenicsx.structure.reduction import CraigBampton, reduce_structure
+from ewr_fenicsx.structure.rigid_motions import doubt_pieces
 from ewr_fenicsx.structure.sector_cuts import find_cuts
 
 Progress = Callable[[str, float | None], None]  # (stage, None) as it begins, (stage, seconds) when it is done
@@ -141,6 +142,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
         doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
+        doubts += tuple(doubt_pieces(structure))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
             ring = _ring(scene, mesh)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import scipy.linalg
@@ -117,13 +117,10 @@ def refuse_hinges(structure: Structure) -> None:
     Raises:
         ModesError: Names the bodies of two such pieces and a node.
     """
-    d, part, comm = structure.mesh.dimension, structure.part, structure.mass.comm.tompi4py()
-    nodes, bodies = _gather_pieces(structure)
+    part, (nodes, bodies) = structure.part, _gather_pieces(structure)
     common = {both: np.intersect1d(*(nodes[piece] for piece in both)) for both in itertools.combinations(nodes, 2)}
     shared = np.unique(np.concatenate([*common.values(), np.empty(0, dtype=np.int64)]))
-    first, last = (end // d for end in structure.mass.getOwnershipRange())
-    mine = shared[(shared >= first) & (shared < last)] - first
-    place = np.concatenate(comm.allgather(structure.space.tabulate_dof_coordinates()[mine, :d]))
+    place = _locate(structure, shared)
     for number in np.unique(part[shared]):
         here = {both: np.flatnonzero(np.isin(shared, at[part[at] == number])) for both, at in common.items()}
         here = {both: at for both, at in here.items() if len(at)}
@@ -132,12 +129,39 @@ def refuse_hinges(structure: Structure) -> None:
             continue
         both = min(here, key=lambda both: len(here[both]))
         count, spot = len(here[both]), tell_place(place[here[both][0]])
-        one, other = sorted(" and ".join(f'"{body}"' for body in bodies[piece]) for piece in both)
-        pair = f"two pieces of {one}" if one == other else f"{one} and {other}"
         raise ModesError(
-            f"{pair} share {count} node{'s' * (count > 1)}, as at {spot}, about which they turn freely, "
-            "as on a hinge; let them share none, or those of a whole facet"
+            f"{_name_pieces(bodies, both)} share {count} node{'s' * (count > 1)}, as at {spot}, about which they turn "
+            "freely, as on a hinge; let them share none, or those of a whole facet"
         )
+
+
+def doubt_pieces(structure: Structure) -> Iterator[str]:
+    """What is probably not meant by pieces of the mesh that share nodes and no facet: a sentence each; collective."""
+    nodes, bodies = _gather_pieces(structure)
+    for both in itertools.combinations(nodes, 2):
+        common = np.intersect1d(*(nodes[piece] for piece in both))
+        place = _locate(structure, common)
+        if len(common):
+            facets = "edge" if structure.mesh.dimension == 2 else "face"
+            yield (
+                f"{_name_pieces(bodies, both)} share {len(common)} node{'s' * (len(common) > 1)}, as at "
+                f"{tell_place(place[0])}, and no {facets} of a cell: they hang together there alone, and neither hold "
+                f"nor touch each other between; mesh both alike, with one {'curve' if facets == 'edge' else 'surface'} "
+                "between them"
+            )
+
+
+def _locate(structure: Structure, nodes: np.ndarray) -> np.ndarray:
+    """Where nodes are, ``(n, d)`` [m], by their global numbers, which rise; collective."""
+    d, (first, last) = structure.mesh.dimension, structure.mass.getOwnershipRange()
+    mine = nodes[(nodes >= first // d) & (nodes < last // d)] - first // d
+    places = structure.space.tabulate_dof_coordinates()[mine, :d]
+    return np.concatenate(structure.mass.comm.tompi4py().allgather(places))
+
+
+def _name_pieces(bodies: Mapping[int, list[str]], both: tuple[int, int]) -> str:
+    one, other = sorted(" and ".join(f'"{body}"' for body in bodies[piece]) for piece in both)
+    return f"two pieces of {one}" if one == other else f"{one} and {other}"
 
 
 def _gather_pieces(structure: Structure) -> tuple[dict[int, np.ndarray], dict[int, list[str]]]:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import gmsh
 
 
-def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, lid: str = "lid") -> None:
+def build(
+    *, cover: str = "cover", glued: bool = False, pinned: bool = False, gap: float = 0.0, lid: str = "lid"
+) -> None:
     """Adds the blocks, their mesh and the groups disk, blade, joint, lid, tip and clamp to the current gmsh model.
 
     Args:
         cover: Name of the uppermost block's body.
         glued: Whether it shares nodes with the blade.
+        pinned: Whether it shares those at the ends of its seat alone, and has fewer cells along that.
         gap: Between both [m].
         lid: Name of the group that the cover's seat is in; none where it is empty.
     """
@@ -36,7 +39,9 @@ def build(*, cover: str = "cover", glued: bool = False, gap: float = 0.0, lid: s
     if glued:
         upper, cover_seat = block(cover, [*neck, *top[::-1]], blade[2]), [blade[2]]
     else:
-        upper = block(cover, [*level(2 * height + gap), *top[::-1]])
+        upper = block(cover, [*(neck if pinned else level(2 * height + gap)), *top[::-1]])
+        for line in (upper[0], upper[2]) if pinned else ():
+            geo.mesh.setTransfiniteCurve(line, 5)
         cover_seat = [blade[2], upper[0]]
     groups |= {(1, "joint"): [disk[2], blade[0]], (1, "tip"): [blade[1]], (1, "clamp"): [disk[0], upper[2]]}
     if lid:

@@ -186,6 +186,18 @@ def test_bodies_that_share_a_node_beside_their_flank_are_told_of_it(tmp_path, de
     assert build(True, "[supports]\nhold = { side = 'x' }").reduction.model.rigid_modes.shape[1] == 0
 
 
+def test_pieces_that_share_no_whole_edge_are_told(tmp_path):
+    """As where two meshes meet whose nodes coincide at the ends alone: they gape between, and nothing touches."""
+    told = {}
+    for how in ("glued", "pinned"):
+        parameters = f'cover = "blade", lid = "", {how} = true'
+        (tmp_path / "scene.toml").write_text(write_blocks(source=BLOCKS.with_name("pile.py"), parameters=parameters))
+        told[how] = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
+    assert told["glued"] == ()
+    (doubt,) = told["pinned"]
+    assert doubt.startswith('two pieces of "blade" share 2 nodes, as at (0, 0.04) m, and no edge of a cell: they hang')
+
+
 def test_a_body_with_a_hinge_of_its_own_is_told_of_it(tmp_path):
     text = write_blocks(source=BLOCKS.with_name("hinged.py"), parameters="share = false, flap = true")
     (tmp_path / "scene.toml").write_text(text)
