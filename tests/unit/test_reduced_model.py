@@ -12,7 +12,7 @@ import scipy.linalg
 import scipy.sparse
 from small_models import dovetail, friction_oscillator, random_structure
 
-from ewr_fenicsx import ReducedModel
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import EwrError, ModelError, OutputError, UnwritableFile
 from ewr_fenicsx.problem.layout import hold
 
