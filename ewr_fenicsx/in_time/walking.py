@@ -20,7 +20,6 @@ from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.in_time.deviations import STEPS_IN_TIME, THETA, step_from
-from ewr_fenicsx.in_time.periodicity import fades
 from ewr_fenicsx.laws.law_kinds import TANGENTS, choose_friction_weight
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.law_claims import read_fields
@@ -97,6 +96,8 @@ def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance, expected: Walk)
 
 def _watch(motion: PeriodicMotion, balance: HarmonicBalance, steps: int) -> tuple[Walk | None, float]:
     """The same with so many steps a period; and the way that these may hold: friction turns in the same step still."""
+    from ewr_fenicsx.in_time.periodicity import fades  # only for those that are stepped, as time stepping itself
+
     rubs, ways = balance.static_displacement_row > 0, []
     try:
         for scheme, period in islice(step_from(motion, steps, THETA), WATCHED):
