@@ -194,7 +194,8 @@ def test_pieces_that_share_no_whole_edge_are_told(tmp_path):
         (tmp_path / "scene.toml").write_text(write_blocks(source=BLOCKS.with_name("pile.py"), parameters=parameters))
         told[how] = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
     assert told["glued"] == ()
-    (doubt,) = told["pinned"]
+    crack, doubt = sorted(told["pinned"])
+    assert crack.startswith('body "blade" has a crack: ')
     assert doubt.startswith('two pieces of "blade" share 2 nodes, as at (0, 0.04) m, and no edge of a cell: they hang')
 
 
