@@ -18,10 +18,11 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.response.following import Jump
-from ewr_fenicsx.response.solution_store import SolutionSeries, fingerprint, strip, write_records
+from ewr_fenicsx.response.solution_store import fingerprint, strip, write_records
 from ewr_fenicsx.response.sweep_store import FORMAT, WORTH_A_POINT, StabilityStore
 from ewr_fenicsx.solution.contact_state import list_figures
 from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution_series import SolutionSeries
 from ewr_fenicsx.task_sharing import do_on_rank_zero, share_tasks
 from ewr_fenicsx.whole_files import replace_file, write_table
 

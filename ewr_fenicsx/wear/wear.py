@@ -23,8 +23,9 @@ from ewr_fenicsx.given import RealArray, is_positive, is_whole
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress
-from ewr_fenicsx.response.solution_store import SolutionSeries, fingerprint
+from ewr_fenicsx.response.solution_store import fingerprint
 from ewr_fenicsx.solution.solution import PeriodicSolution
+from ewr_fenicsx.solution.solution_series import SolutionSeries
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
