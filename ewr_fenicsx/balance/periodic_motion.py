@@ -170,7 +170,7 @@ class PeriodicMotion:
         """
         stride, basis, reported = self._look_at_laws(samples)
         slips = self._find_slipping(basis, reported)
-        speed = self._slide(basis, reported, self._press(basis, reported))
+        speed = self._slide(basis, reported, slips, self._press(basis, reported))
         return np.where(slips, np.maximum(0.0, speed), 0.0)[::stride]
 
     def pressing_force(self, samples: int = 1024) -> RealArray:
@@ -192,8 +192,8 @@ class PeriodicMotion:
         what estimates look at, which nearly are, such that in the mean they leave the work of friction.
         """
         stride, basis, reported = self._look_at_laws(samples)
-        force = self._press(basis, reported)
-        return force[::stride], self._slide(basis, reported, force)[::stride]
+        slips, force = self._find_slipping(basis, reported), self._press(basis, reported)
+        return force[::stride], self._slide(basis, reported, slips, force)[::stride]
 
     def _look_at_laws(self, samples: int) -> tuple[int, FourierBasis, list[tuple]]:
         """Every which sample of a basis counts, that basis, and what each law reports there, as ``law_fields``."""
@@ -209,9 +209,8 @@ class PeriodicMotion:
                 force[:, law.pairs] = fields["admissible_normal_force"]
         return force
 
-    def _slide(self, basis: FourierBasis, reported: list[tuple], pressing: RealArray) -> RealArray:
+    def _slide(self, basis: FourierBasis, reported: list[tuple], slips: np.ndarray, pressing: RealArray) -> RealArray:
         velocity = {d: basis.synthesise(self._rate * slip) for d, slip in self.slip_amplitudes.items()}
-        slips = self._find_slipping(basis, reported)
         none = np.zeros(slips.shape)
         for law, fields in reported:
             if "surface_slip" in fields:
