@@ -43,6 +43,10 @@ SCALE = {"displacement": 3.0, "velocity": 1.0}
 # the structure's answer grows large and the iteration diverges. How many times larger scales are tried for rows that
 # oppose displacements, and the growth of an answer from which on they are.
 FIRMNESSES, MOST_GROWTH = (1.0, 3.0, 10.0), 5.0
+# Many pairs that mostly stick move each other less than that: where a splitting comes no nearer, larger scales of rows
+# that oppose velocities lead on, and the balance is nearer to zero where they end. How many times larger, from one to
+# the next and in the end, and over a defect the residual from which on.
+STIFFER, STIFFEST, APART = 10.0, 100.0, 10.0
 BLOCK = 8  # harmonics whose answers are found at once, after which growth is looked at
 SAMPLES, FEWEST_SAMPLES = 6, 64  # a highest harmonic, up to a power of two as in a balance; and at least
 PROGRESS, ROUNDING = 0.7, 1e-10  # share of itself to which a defect must fall in time; rounding in the extrapolation
@@ -95,6 +99,7 @@ class Splitting:
         balance: A balance all of whose laws are projections.
         samples: A period, more than twice the highest harmonic; None: as many as the harmonics need.
         softness: Share of its usual scale that a row takes whose law opposes displacements.
+        stiffness: Times its usual scale that a row takes whose law opposes velocities.
         springs: Whether springs close truncations where laws have them, or dashpots of the scale.
 
     Attributes:
@@ -109,7 +114,13 @@ class Splitting:
     """
 
     def __init__(
-        self, balance: HarmonicBalance, samples: int | None = None, softness: float = 1.0, *, springs: bool = True
+        self,
+        balance: HarmonicBalance,
+        samples: int | None = None,
+        softness: float = 1.0,
+        *,
+        stiffness: float = 1.0,
+        springs: bool = True,
     ):
         self.balance = balance
         orders, omega = balance.basis.orders, balance.compliance.omega or 1.0
@@ -131,7 +142,7 @@ class Splitting:
             if not rate and law.static_target is not None:
                 self.offset[rows] = -law.static_target
         usual[~self.by_rate] *= softness
-        usual[self.by_rate] /= omega * np.sqrt(max(1, np.count_nonzero(self.by_rate)))
+        usual[self.by_rate] *= stiffness / (omega * np.sqrt(max(1, np.count_nonzero(self.by_rate))))
         self.opposed = np.where(self.by_rate, balance.rate[:, None], 1.0)
         self.opposed[:, self.sprung] = self._differ(self.orders)
         self.sought = np.ones(self.opposed.shape, dtype=bool)  # a mean that is set to zero is not
@@ -201,20 +212,25 @@ class Splitting:
         return True
 
     def _invert_mean(self) -> None:
-        """The same for the mean, with rigid coordinates. Friction sees of it what the balance adds to its equation."""
+        """The same for the mean, with rigid coordinates.
+
+        Friction sees what the balance adds to its mean equation: part of the force that laws admit, but none of what
+        moves the structure. ``added`` is the share of a state, less the force that moves it, which that part is.
+        """
         self.rigid_inverse = np.zeros((self.balance.rigid, self.balance.rows))
         self.rigid_unforced = np.zeros(self.balance.rigid)
         if not self.balance.basis.has_mean:
             return
         balance, compliance, known = self.balance, self.balance.compliance, self.sought[0]
-        ratio = np.where(self.sprung, 1.0, self.ratio)
-        share = np.where(self.by_rate, ratio * balance.firm.static_force_row, 0.0)
-        stiffness = np.where(self.by_rate, ratio * balance.firm.static_displacement_row, self.scale)
+        seen = 1.0 + np.where(self.sprung, 1.0, self.ratio)
+        self.added = np.where(self.by_rate, 1.0 / seen, 0.0)
+        share = np.where(self.by_rate, seen * balance.firm.static_force_row, 0.0)
+        stiffness = np.where(self.by_rate, seen * balance.firm.static_displacement_row, self.scale)
         matrix = np.diag(1.0 + share) + stiffness[:, None] * compliance.flexibility[0].real
         moved = -stiffness * (compliance.free_motion[0].real + np.where(self.by_rate, 0.0, self.offset))
-        turned, seen = stiffness[:, None] * balance.rigid_motion, compliance.rigid_motion.T
+        turned, held = stiffness[:, None] * balance.rigid_motion, compliance.rigid_motion.T
         saddle = np.block(
-            [[matrix[np.ix_(known, known)], turned[known]], [seen[:, known], np.zeros((balance.rigid,) * 2)]]
+            [[matrix[np.ix_(known, known)], turned[known]], [held[:, known], np.zeros((balance.rigid,) * 2)]]
         )
         inverse = np.linalg.inv(saddle)
         unforced = inverse @ np.concatenate([moved[known], -compliance.rigid_load])
@@ -244,6 +260,8 @@ class Splitting:
         whole, truncated = self.share * spectrum, np.zeros_like(spectrum)
         truncated[self.kept] = self.halves * self.respond(spectrum)[1]
         whole[self.kept] = np.where(self.sought, truncated[self.kept], whole[self.kept])
+        if self.balance.basis.has_mean:
+            whole[0] += np.where(self.sought[0], self.added * (spectrum[0] - truncated[0]), 0.0)
         forces = self._sample(whole)
         trial, admissible = 2 * forces - state, np.empty_like(state)
         trial.flags.writeable = False  # laws see parts of it, no copies
@@ -267,6 +285,11 @@ class Splitting:
         """The state of forces [N] and motions [m] of all rows, ``(n_h, m)``, which need not fit each other."""
         return self.basis.synthesise(forces + self.scale * self.opposed * motion) + self.scale * self.offset
 
+    def take_over(self, other: Splitting, state: RealArray) -> RealArray:
+        """The state of the same forces and motions that ``other``, of other scales, has in a state ``(n_t, m)``."""
+        forces, _ = other.compare(state)
+        return forces + self.scale / other.scale * (state - forces)
+
 
 def _join_up(places: np.ndarray) -> np.ndarray | slice:
     """Places as a slice where one follows the other, which is read without a copy."""
@@ -283,23 +306,37 @@ def come_near(
     balance: HarmonicBalance, begin: Callable[[Splitting], RealArray]
 ) -> Iterator[tuple[RealArray, RealArray]]:
     """State and unknowns near a solution, ever nearer, as far as a splitting begun in the state of ``begin`` leads."""
-    goal = TOLERANCE if balance.size < DEAR_FROM else DEAR_TOLERANCE
+    dear = balance.size >= DEAR_FROM
+    goal, stiffness = DEAR_TOLERANCE if dear else TOLERANCE, 1.0
     try:
         splitting = Splitting(balance)
         found = settle(splitting, begin(splitting), ROUGH)
-        if found.defect > ROUGH and np.any(splitting.sprung):  # of these, dashpots lead on in hard cases, if less far
+        springs = found.defect <= ROUGH or not np.any(splitting.sprung)
+        if not springs:  # dashpots lead on in hard cases, if less far
             splitting = Splitting(balance, springs=False)
             found = settle(splitting, begin(splitting), ROUGH)
         if found.defect > ROUGH:
             return
         for _ in range(LOOKS):
             found = settle(splitting, found.state, goal, CLOSE)
+            while dear and stiffness < STIFFEST and _is_far(splitting, found, goal):
+                stiffness *= STIFFER
+                stiffer = Splitting(balance, stiffness=stiffness, springs=springs)
+                splitting, state = stiffer, stiffer.take_over(splitting, found.state)
+                found = settle(splitting, state, goal, CLOSE)
             if found.defect >= NEAR_ENOUGH * goal:
                 return
             yield found.state, splitting.unknowns(found.state)
             goal *= NEARER
     except np.linalg.LinAlgError:  # as next to a mode without damping
         return
+
+
+def _is_far(splitting: Splitting, found: Split, goal: float) -> bool:
+    """Whether a splitting came no nearer than that, or the balance is much further from zero than it tells."""
+    firm = splitting.balance.firm
+    far = found.defect >= NEAR_ENOUGH * goal
+    return far or firm.measure_residual(splitting.unknowns(found.state)) > APART * found.defect
 
 
 def settle(splitting: Splitting, state: RealArray, tolerance: float, effort: Effort = QUICK) -> Split:

@@ -14,7 +14,7 @@ from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.laws.law_kinds import TANGENTS
 from ewr_fenicsx.solver import ladder, newton_path
 from ewr_fenicsx.solver import splitting as splitting_module
-from ewr_fenicsx.solver.splitting import FEWEST_SAMPLES, Splitting, can_split, resample, settle
+from ewr_fenicsx.solver.splitting import FEWEST_SAMPLES, QUICK, Splitting, can_split, resample, settle
 
 FEW = 7  # harmonics for which a splitting takes as few samples as it ever does
 
@@ -139,6 +139,45 @@ def test_so_does_contact_that_opens_of_floating_bodies_and_in_a_plane(name, goal
     assert found.defect < goal and found.iterations > 10
     assert np.linalg.norm(balance.firm.residual(splitting.unknowns(found.state))) < 1e-4
     assert np.linalg.norm(balance.firm.residual(balance.pack(*balance.full_stick))) > 1e-2
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_where_it_ends_the_balance_is_solved_as_exactly_as_it_ends(name):
+    """What mean friction's own equation adds is no force on the structure; the share of it would stay as a residual."""
+    splitting = Splitting(pose(PROBLEMS[name]))
+    found = settle(splitting, splitting.begin(), 1e-9, QUICK._replace(iterations=2000, patience=1000))
+    firm = splitting.balance.firm
+    assert np.any(firm.static_force_row >= 1e-4) or name == "floating, mean zero"
+    assert found.defect <= 1e-9 and firm.measure_residual(splitting.unknowns(found.state)) < 1e-8
+
+
+@pytest.mark.parametrize("dear_from, scales", [(0, [1, 1, 10, 100]), (10_000, [1, 1])])
+def test_larger_scales_lead_on_in_large_joints_where_a_splitting_stalls(dear_from, scales, monkeypatch):
+    """Small ones have Newton steps that cost less."""
+    balance, asked = pose(PROBLEMS["lift-off"]), []
+    monkeypatch.setattr(splitting_module, "DEAR_FROM", dear_from)
+
+    def stall(splitting: Splitting, *arguments):
+        asked.append(splitting.scale[splitting.by_rate][0])
+        found = settle(splitting, *arguments)
+        return found._replace(defect=5e-3) if len(asked) < 4 else found
+
+    monkeypatch.setattr(splitting_module, "settle", stall)
+    looks = list(splitting_module.come_near(balance, Splitting.begin))
+    np.testing.assert_allclose(asked[: len(scales)], np.array(scales) * asked[0])
+    assert bool(looks) == (dear_from == 0)
+    for _, unknowns in looks:
+        assert balance.firm.measure_residual(unknowns) < 1e-3
+
+
+def test_what_one_splitting_found_another_scale_takes_as_it_is():
+    balance = pose(PROBLEMS["floating, slip"])
+    first, second = Splitting(balance), Splitting(balance, stiffness=10.0)
+    np.testing.assert_allclose(second.scale, np.where(first.by_rate, 10.0, 1.0) * first.scale)
+    state = settle(first, first.begin(), 1e-3).state
+    taken = second.take_over(first, state)
+    np.testing.assert_allclose(second.compare(taken)[0], first.compare(state)[0], atol=1e-9 * np.abs(state).max())
+    np.testing.assert_allclose(second.unknowns(taken), first.unknowns(state), atol=1e-9)
 
 
 def test_friction_under_given_normal_forces_is_found_from_anywhere_at_the_resonance():
