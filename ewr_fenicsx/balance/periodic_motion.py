@@ -20,6 +20,7 @@ from ewr_fenicsx.problem.law_claims import read_fields
 
 HISTORIES = ("normal_force", "friction_force", "admissible_friction_force", "gap", "slip", "slip_velocity")
 ROUNDED = 1e-12  # share of what forces and loads would cause if none cancelled, below which a speed is their rounding
+CREEPS = 10.0  # times as far as its surfaces drift in a period, up to which a pair slides by nothing else: it may turn
 SECOND = "second_"  # before the name of a history: along the second tangent of pairs in 3-D
 SECOND_HISTORIES = tuple(SECOND + name for name in HISTORIES if name not in ("normal_force", "gap"))
 
@@ -163,7 +164,8 @@ class PeriodicMotion:
         add up over a cycle to a distance that nothing slides. Pairs that are open slide as well, without rubbing. Where
         no law says, pairs slide if their kind ``slides``, as in ``contact_state.classify_contact``, and else stick.
         Where springs or dashpots close the truncation, their ends slide: the truncated slip lacks what these give way.
-        Pairs that touch the limit now and then without sliding are left with rounding, which is zero here as well.
+        Pairs that touch the limit now and then without sliding are left with rounding, or creep by what decides their
+        mean friction (``mean_friction.py``): zero here as well.
 
         Raises:
             ModelError: No whole number of samples.
@@ -218,7 +220,10 @@ class PeriodicMotion:
                 velocity[law.direction][:, law.pairs] = self.problem.frequency * basis.samples * step
         moves = np.max(slips * np.hypot.reduce([none, *velocity.values()]), axis=0) > ROUNDED * self.slip_reach
         opposed, limit, normal = none.copy(), none.copy(), self.history("normal_force", basis.samples)
-        for law, force, beyond in self._find_forces_beyond(basis, reported):
+        own = self.problem.basis
+        solved = reported if basis.samples == own.samples else self.law_fields(own)
+        moves &= ~self._find_creeping(solved)
+        for law, force, beyond in self._find_forces_beyond(basis, reported, solved):
             velocity[law.direction][:, law.pairs] += beyond / law.impedance
             opposed[:, law.pairs] -= force * velocity[law.direction][:, law.pairs]
             limit[:, law.pairs] = law.limit({"normal": normal[:, law.pairs]})
@@ -227,16 +232,32 @@ class PeriodicMotion:
         speed = np.divide(opposed, limit, out=speed, where=(limit > 0) & rubs)
         return np.where(moves, speed, 0.0)
 
-    def _find_forces_beyond(self, basis: FourierBasis, reported: list[tuple]) -> list[tuple]:
+    def _find_creeping(self, solved: list[tuple]) -> np.ndarray:
+        """``(K_c,)`` which pairs behind dashpots slide by nothing but what their mean equation lets them creep.
+
+        A period brings back what slides: what surfaces drift in one is that creep, under the laws at the samples of the
+        solve, ``solved``.
+        """
+        own, creeps = self.problem.basis, np.zeros(self.problem.model.pairs, dtype=bool)
+        speed, drift = np.zeros((own.samples, creeps.size)), np.zeros(creeps.size)
+        for law, _, beyond in self._find_forces_beyond(own, solved, solved):
+            along = own.synthesise(self._rate * self.slip_amplitudes[law.direction][:, law.pairs])
+            along += beyond / law.impedance
+            speed[:, law.pairs] = np.hypot(speed[:, law.pairs], along)
+            drift[law.pairs] = np.hypot(drift[law.pairs], along.mean(axis=0))
+            creeps[law.pairs] = law.creeps & own.has_mean
+        return creeps & (speed.mean(axis=0) <= CREEPS * drift)
+
+    def _find_forces_beyond(self, basis: FourierBasis, reported: list[tuple], solved: list[tuple]) -> list[tuple]:
         """Of laws whose truncation dashpots close: the law, friction, and what is left of it beyond the harmonics [N].
 
-        These harmonics are those of the solve, by its own samples: where it has converged, those of the unknown force.
+        These harmonics are those of the solve, by its own samples and what laws report there, ``solved``: where it has
+        converged, those of the unknown force.
         """
         own, name, found = self.problem.basis, "admissible_friction_force", []
-        by_own = reported if basis.samples == own.samples else self.law_fields(own)
-        for (law, fields), (_, solved) in zip(reported, by_own, strict=True):
+        for (law, fields), (_, there) in zip(reported, solved, strict=True):
             if isinstance(law, FrictionLaw) and not law.closes and law.impedance is not None and name in fields:
-                kept = own.to_amplitudes(own.project(solved[name]))
+                kept = own.to_amplitudes(own.project(there[name]))
                 if own.has_mean:
                     rows = self.problem.system.row_of(law.direction, law.pairs)
                     mean, place = self.forces[0, rows].real, self.row_motion[0, rows].real

@@ -75,6 +75,31 @@ def test_a_joint_that_does_not_slide_is_solved_once(jump, deepest):
     assert not any("as they land" in line for line in lines)
 
 
+@pytest.mark.parametrize("tangents", [1, 2])
+@pytest.mark.parametrize("static_friction", ["resolved", "held"])
+def test_what_sticks_by_its_mean_friction_alone_does_not_creep_into_wear(tangents, static_friction):
+    """Its mean equation leaves it 1e-7 of its motion: the error of that was told, and took all harmonics there are."""
+    each, shear = np.eye(1 + tangents), [0.3, 0.1j][:tangents]
+    model = ReducedModel(
+        mass=0.1 * each,
+        damping=0.02 * each,
+        stiffness=each,
+        normal=each[:1],
+        tangential=each[1:],
+        load={0: -each[0], 1: np.array([-0.8, *shear])},
+        pair_area=[0.5],
+    )
+    pad = ContactProblem(model, ContactLaws(friction=0.5, static_friction=static_friction), 0.05, 5)
+    history = evolve_wear(pad, 100, 1e-3, Tolerance())
+    assert abs(history.solutions[0].pair_forces["tangential"][0, 0]) > 0.15
+    assert history.solves == 1 and not np.any(history.depth) and "NOT accurate" not in history.summary()
+    assert history.solutions[0].merit["J_T"] == 0.0
+    accurate = evolve_wear(pad, 100, 1e-3, Tolerance(), accuracy=0.05)
+    assert not accurate.short.size and accurate.solutions[-1].orders[-1] < 10
+    slides = solve(replace(pad, laws=replace(pad.laws, friction=0.1)))
+    assert measure_wear_rate(slides, np.ones(1)) > 0.01
+
+
 def test_pairs_that_slide_while_they_are_open_may_rub_as_they_land():
     """Few harmonics see them stick at once: of a small wear nothing is left."""
     model = replace(lift_off_oscillator(excitation=1.5), pair_area=[0.5])
