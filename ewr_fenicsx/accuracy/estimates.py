@@ -31,8 +31,10 @@ from ewr_fenicsx.accuracy.looking_ahead import approach, look_ahead, take_step
 from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses, correct_inertia, keep_fewer
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, read_numbers
+from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import read_friction_weight
+from ewr_fenicsx.solution.indicators import measure_work
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.newton import solve
 
@@ -76,8 +78,8 @@ class ErrorEstimate:
         samples: By the samples at which the laws are evaluated, looked at by themselves.
         weight: What another weight of the friction law would change; it is truncation seen from another side.
         modes: By the modes left out of the reduced model.
-        sliding: Of ``J_T``, or of what presses as it slides where that is more, by harmonics and samples: a figure of
-            its own, in no total. It converges more slowly.
+        sliding: Of ``J_T``, or of what presses as it slides or friction dissipates where that is more, by harmonics and
+            samples: a figure of its own, in no total. It converges more slowly.
     """
 
     harmonics: float
@@ -241,7 +243,8 @@ def estimate_together(
 def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> float:
     """Relative difference of the way that two solutions slide, over the longer one; 0 where both stick.
 
-    That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way.
+    That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way. Or
+    that of the work of friction, ``friction_dissipation``, of which dashpots take some where the truncation is coarse.
     """
     slid, rubbed = [], []
     for force, speed in (each.press_and_slide(each.problem.basis.samples) for each in (ahead, solution)):
@@ -249,7 +252,17 @@ def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> floa
         rubbed.append(float(np.mean(force * speed)))
     if not max(slid) > AT_REST * float(np.mean(solution.slip_reach)):
         return 0.0
-    return max(abs(there - here) / max(there, here) for there, here in (slid, rubbed) if max(there, here) > 0)
+    taken = [_measure_friction(each) for each in (ahead, solution)]
+    figures = [(there, here) for there, here in (slid, rubbed, taken) if max(there, here) > 0]
+    return max(abs(there - here) / max(there, here) for there, here in figures)
+
+
+def _measure_friction(motion: PeriodicSolution) -> float:
+    """Work of dry friction over a period, by the harmonics of its forces: what a solution dissipates by it [J]."""
+    system = motion.problem.system
+    laws = [law for law in system.laws if isinstance(law, FrictionLaw)]
+    rows = [row for law in laws for row in system.row_of(law.direction, law.pairs)]
+    return -measure_work(motion.forces[:, rows], motion.row_motion[:, rows], motion.orders)
 
 
 def look_further(solution: PeriodicSolution) -> tuple[ContactProblem, float]:
