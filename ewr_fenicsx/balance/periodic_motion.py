@@ -245,7 +245,8 @@ class PeriodicMotion:
             along += beyond / law.impedance
             speed[:, law.pairs] = np.hypot(speed[:, law.pairs], along)
             drift[law.pairs] = np.hypot(drift[law.pairs], along.mean(axis=0))
-            creeps[law.pairs] = law.creeps & own.has_mean
+            hangs = bool(self.rigid.size) & (np.asarray(law.static_displacement_row) > 0)  # it may walk
+            creeps[law.pairs] = own.has_mean & (law.static_row > 0) & ~hangs
         return creeps & (speed.mean(axis=0) <= CREEPS * drift)
 
     def _find_forces_beyond(self, basis: FourierBasis, reported: list[tuple], solved: list[tuple]) -> list[tuple]:

@@ -44,12 +44,6 @@ class FrictionLaw(Law):
         held = np.asarray(self.static_displacement_row) > 0
         return np.zeros(self.pairs.size) if np.all(held & (np.asarray(self.static_force_row) == 0)) else None
 
-    @property
-    def creeps(self) -> np.ndarray:
-        """``(K,)`` whether what sticks throughout creeps by its mean equation; on what hangs it may be a walk."""
-        force, held = np.asarray(self.static_force_row), np.asarray(self.static_displacement_row)
-        return np.broadcast_to((self.static_row > 0) & ~((force > 0) & (held > 0)), self.pairs.shape)
-
     def limit(self, force: Mapping[str, RealArray]) -> RealArray:
         """``mu max(0, lam_N)`` under forces direction -> ``(n_t, K)`` [N]."""
         return self.friction * np.maximum(0.0, force["normal"])
