@@ -6,7 +6,7 @@ dynamic flexibility there tells which, and how soft the springs are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray
-from ewr_fenicsx.model.receptance import find_normal_modes, receptance
+from ewr_fenicsx.model.receptance import find_normal_modes, measure_resistance, receptance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 
 Closure = Literal["mass", "dashpot", "spring"]
@@ -24,6 +24,7 @@ ALIKE, ALONE = 2.0, 0.05
 # harmonic; and no less than this share of the static one: behind stiffer springs the mass of what they hold closes the
 # truncation better
 FAR, IN_A_ROW, LEAST_FAR = 2 ** np.arange(1, 9), 4, 3e-4
+SEEN = 6, 24  # how far beyond the highest harmonic waves round a ring are seen: as far again, but within these
 LEAST_ELASTIC = 0.15  # share of a pair's static flexibility, beyond the harmonics kept, above which it is a spring
 
 
@@ -100,6 +101,29 @@ def find_masses(model: ReducedModel, rows: RealArray, omega: float, highest: int
         alone = alike[np.all(others < ALONE * np.abs(own[:, alike]), axis=0)]
         found[alone] = mass[:, alone].mean(axis=0)
     return found
+
+
+def compare_waves(
+    model: ReducedModel, read: Callable[[int], RealArray | ComplexArray], omega: float, highest: int
+) -> RealArray:
+    """``(m,)`` how many times softer rows are at the harmonics left out, in their waves, than in that of harmonic 1.
+
+    Under a load of few waves round the ring neighbours all but move together at harmonic 1, and not there. Odd ones, at
+    which friction acts most; against stiffness and inertia together, so that no resonance decides.
+
+    Args:
+        model: A sector of a ring.
+        read: From a wave to the contact rows in it, ``(m, n)``.
+        omega: Angular frequency of the first harmonic [rad/s].
+        highest: Highest harmonic that is kept, an odd one.
+    """
+    usual, beyond = model.wave_of(1), np.arange(highest + 2, highest + np.clip(highest, *SEEN) + 1, 2)
+    softer = np.zeros(len(read(usual)))
+    for h in beyond.tolist():
+        wave = model.wave_of(h)
+        ways = (measure_resistance(model, read(w), h * omega, w) for w in (wave, usual))
+        softer += np.divide(*ways) / beyond.size
+    return softer
 
 
 def measure_beyond(

@@ -27,7 +27,7 @@ from ewr_fenicsx.model.compliance import DynamicCompliance, condense
 from ewr_fenicsx.model.receptance import GeneralisedInverse, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.statics import takes_friction
-from ewr_fenicsx.problem.closure import find_masses, find_own_springs, find_springs
+from ewr_fenicsx.problem.closure import compare_waves, find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.layout import Layout, demand_rows, lay_out
@@ -204,7 +204,8 @@ def choose_closing(
     if not (problem.has_springs and highest and np.any(others)):
         return np.zeros(pairs.size)
     wave = layout.usual_wave
-    return others * find_springs(layout.model, layout.rows_in(wave)[rows], flexibility, problem.omega, highest, wave)
+    springs = find_springs(layout.model, layout.rows_in(wave)[rows], flexibility, problem.omega, highest, wave)
+    return others * springs * soften(problem, layout, rows, springs)
 
 
 def choose_closing_mass(
@@ -231,7 +232,16 @@ def choose_closing_mass(
         if problem.has_springs and np.any(masses):
             own = find_own_springs(layout.model, rows, flexibility[at[at >= 0]], problem.omega, highest, wave)
             masses[at >= 0] *= own == 0
+        masses[at >= 0] /= soften(problem, layout, at[at >= 0], masses[at >= 0])
     return masses[pairs]
+
+
+def soften(problem: Statement, layout: Layout, rows: np.ndarray, closing: RealArray) -> RealArray | float:
+    """``compare_waves`` of rows whose truncation something closes, where sectors rub on one another; else 1."""
+    if layout.next_rows is None or not np.any(closing):
+        return 1.0
+    odd = (problem.basis.orders[-1] - 1) | 1
+    return compare_waves(layout.model, lambda wave: layout.rows_in(wave)[rows], problem.omega, odd)
 
 
 def halves_repeat(problem: Statement, pairs: np.ndarray, layout: Layout) -> bool:

@@ -13,6 +13,7 @@ import scipy.linalg
 from test_den_hartog import exact_amplitude, largest_slip
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, close_ring, solve
+from ewr_fenicsx.problem.closure import compare_waves
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 SPRING, BETWEEN = 3.0, 2.0  # N/m; the mass is 1 kg
@@ -54,6 +55,36 @@ def test_masses_that_move_in_turn_rub_as_den_hartogs(beta, friction):
     solution = rub_in_turn(beta, friction, 31)
     work = 4 * friction * exact_amplitude(beta, friction)
     assert solution.merit["friction_dissipation"] == pytest.approx(work, rel=5e-3)
+
+
+def rub_on_neighbours(stiffness: list, mass: list, closure: str, highest: int) -> PeriodicSolution:
+    """Thirty blades that rub on both neighbours by their last coordinate, in a wave once round the ring."""
+    end, first = np.eye(len(mass))[-1:], np.eye(len(mass))[0]
+    sector = ReducedModel(np.diag(mass), np.diag([20.0 * m for m in mass]), stiffness, tangential=end,
+                          load={1: 100.0 * first}, outputs={"x": first})  # fmt: skip
+    model = close_ring(sector, [], [], sectors=30, engine_order=1, tangential=-end)
+    laws = ContactLaws("prescribed", normal_force=635.0, friction=0.3)
+    return solve(ContactProblem(model, laws, 150.0, highest, samples=1024, closure=closure))
+
+
+@pytest.mark.parametrize(
+    "stiffness, mass, closure", [([[1e6]], [1.0], "mass"), ([[1.3e6, -3e5], [-3e5, 3e5]], [1.0, 0.0], "spring")]
+)
+def test_neighbours_that_all_but_move_together_are_closed_as_they_move_beyond(stiffness, mass, closure):
+    """As they move at harmonic 1, five harmonics are off by 5 and 4 per cent."""
+    few, many = (rub_on_neighbours(stiffness, mass, closure, n) for n in (5, 127))
+    lack = many.output("x")
+    lack[[many.orders.index(h) for h in few.orders]] -= few.output("x")
+    assert np.linalg.norm(lack) < 0.01 * np.linalg.norm(many.output("x"))
+
+
+def test_harmonics_left_out_are_seen_in_their_own_waves():
+    mass = ReducedModel([[1.0]], [[0.0]], [[1.0]], tangential=[[1.0]])
+    model = close_ring(mass, [], [], sectors=30, engine_order=1, tangential=[[-1.0]])
+    apart = lambda h: 4 * np.sin(np.pi * h / 30) ** 2  # noqa: E731
+    expected = np.mean([apart(h) for h in (7, 9, 11)]) / apart(1)
+    read = lambda wave: model.rows("tangential", wave)  # noqa: E731
+    assert compare_waves(model, read, 1.0, 5) == pytest.approx(expected, rel=1e-9)
 
 
 def test_masses_that_move_alike_do_not_rub():
