@@ -6,6 +6,7 @@ their place are ``closure.py``'s.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.closure import average, list_beyond, measure_beyond
 from ewr_fenicsx.problem.composition import choose_weight
 from ewr_fenicsx.problem.contact_problem import ContactProblem
+
+LIGHTER = (0.1, 0.03)  # over the default dashpots
 
 
 def use_mobility(problem: ContactProblem) -> ContactProblem:
@@ -56,6 +59,16 @@ def read_friction_weight(problem: ContactProblem) -> RealArray | None:
     """
     weight = read_weight(problem, "tangential")
     return None if weight is None else read_weight(replace_masses(problem), "tangential")
+
+
+def weigh_lighter(problem: ContactProblem, pairs: np.ndarray) -> Iterator[ContactProblem]:
+    """The problem, and then with ever lighter dashpots at some pairs, ``(K,)``: the law itself has none."""
+    yield problem
+    weight = read_friction_weight(problem)
+    for share in LIGHTER:
+        lighter = weight.copy()
+        lighter[pairs] *= share
+        yield replace(problem, rho_tangential=lighter)
 
 
 def replace_masses(problem: ContactProblem) -> ContactProblem:

@@ -13,6 +13,7 @@ from ewr_fenicsx.in_time.floquet import find_growth, grows, list_unfollowed, set
 from ewr_fenicsx.in_time.ring_growth import RingGrowth, find_ring_growth, leaves
 from ewr_fenicsx.in_time.stability import alternates, find_side
 from ewr_fenicsx.in_time.walking import Walk, measure_walk, watch_walk
+from ewr_fenicsx.problem.dashpots import weigh_lighter
 from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.ignored import list_ignored
 from ewr_fenicsx.solution import indicators
@@ -320,7 +321,7 @@ class PeriodicSolution(PeriodicMotion):
         """The solution under laws that remember nothing: dashpots stand for springs and masses.
 
         Where masses reverse, dashpots would at other samples: the motion is that to which Newton's method leads under
-        them, if it settles soon.
+        them, if it settles soon; where it does not, under lighter ones, with which motions are nearer.
         """
         closures = self.problem.system.closures
         if not closures:
@@ -328,12 +329,15 @@ class PeriodicSolution(PeriodicMotion):
         here = replace(self, problem=replace(self.problem, closure="dashpot"))
         if "masses" not in closures:
             return here
-        balance, unknowns = here.pose()
-        found, _ = balance.take_whole_steps(unknowns, SETTLING, balance.within(SETTLED))
-        if found is None:
-            return here
-        forces, rigid = balance.unpack(found)
-        return replace(here, forces=forces, rigid=rigid)
+        closed = np.concatenate([law.pairs for law in self.problem.system.laws if law.closes == "masses"])
+        for problem in weigh_lighter(here.problem, closed):
+            there = replace(here, problem=problem)
+            balance, unknowns = there.pose()
+            found, _ = balance.take_whole_steps(unknowns, SETTLING, balance.within(SETTLED))
+            if found is not None:
+                forces, rigid = balance.unpack(found)
+                return replace(there, forces=forces, rigid=rigid)
+        return here
 
     @property
     def unstable(self) -> bool:
