@@ -257,12 +257,7 @@ class PeriodicSolution(PeriodicMotion):
             for power, name in enumerate(("stiffness", "damping", "mass"))
         )
         left, size = (np.linalg.norm(forces, axis=1) for forces in (strain + inertia + drag, strain))
-        return [
-            f"harmonic {h} hits a mode without damping, and rounding decides how far it swings: add damping, or "
-            "move the frequency"
-            for h, hit in zip(self.orders, left < HIT * size, strict=True)
-            if h and hit
-        ]
+        return [tell_hit(h) for h, hit in zip(self.orders, left < HIT * size, strict=True) if h and hit]
 
     def list_reservations(self) -> list[str]:
         """What was tried before it was found, and ``cautions``; empty where the first attempt left nothing to say."""
@@ -392,3 +387,11 @@ class PeriodicSolution(PeriodicMotion):
             lines.append(f"  harmonics {', '.join(some)} left out: {self.why_left_out}")
         lines += [f"  {line}" for line in self.list_reservations()]
         return "\n".join(lines)
+
+
+def tell_hit(harmonic: int) -> str:
+    """What to say of a harmonic at which next to nothing holds a mode."""
+    return (
+        f"harmonic {harmonic} hits a mode without damping, and rounding decides how far it swings: add damping, or "
+        "move the frequency"
+    )

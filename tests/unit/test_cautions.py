@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import friction_oscillator, lift_off_oscillator
+from small_models import friction_oscillator, lift_off_oscillator, stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.solution.remedies import list_remedies
 
 RUBS = ContactLaws("prescribed", normal_force=1.0, friction=0.3)
 
@@ -102,6 +103,17 @@ def test_a_resonance_without_damping_that_has_no_solution_is_named():
     laws = ContactLaws("prescribed", normal_force=270.0, friction=0.3)
     with pytest.raises(NotConverged, match=r"\. Harmonic 1 hits a mode without damping, .*: add damping"):
         solve(ContactProblem(model, laws, 1000 / (2 * np.pi), 5))
+
+
+def test_a_resonance_without_damping_that_a_springy_stop_bounds_is_named():
+    """The stop's spring takes forces of its own at the harmonic, not small ones; a millionth beside it all is well."""
+    taps = ContactLaws(tangential="frictionless", initial_gap=1.0)
+    beside = ContactProblem(stop_oscillator(damping=0.0, excitation=0.5), taps, (1 + 1e-6) / (2 * np.pi), 5)
+    found = solve(beside)
+    hit = replace(beside, frequency=(1 + 1e-10) / (2 * np.pi))
+    for residual, problem, named in ((1e-7, hit, True), (1e-3, hit, False), (1e-7, beside, False)):
+        best = replace(found, problem=problem, residual=residual, converged=False)
+        assert ("Harmonic 1 hits a mode without damping" in list_remedies(best)) == named
 
 
 def test_a_model_without_a_load_is_told_of():
