@@ -22,10 +22,11 @@ _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
 # What the last periods, so many, tell of deviations that grow: differences of states above a share of the oscillation,
 # apart from each other by some others (each misses what another one sees), and multipliers from which on it is looked
-# what becomes of a small one: whether it grows or falls by a factor, or has grown somewhat after so many periods: modes
-# that beat with each other make up for a little less.
+# what becomes of a small one: whether it grows by a factor, falls by one (what is left may grow then), or has grown
+# somewhat after so many periods: modes that beat with each other make up for a little less. What friction stops within
+# a step loses what it deviates by: there it is not smaller than what the oscillation goes through in some steps.
 _REMEMBERED, _TOLD, _APART, _GROWING = 12, 1e-6, (1e-3, 1e-2, 1e-1), 1.01
-_SMALL, _FAR, _GROWN, _FOLLOWED = 1e-3, 3.0, 1.5, 40
+_SMALL, _SOME, _FAR, _FALLEN, _GROWN, _FOLLOWED = 1e-3, 2.0, 3.0, 10.0, 1.5, 40
 
 
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
@@ -161,6 +162,8 @@ class Anderson:
         root = np.sqrt(np.maximum(scheme.mass, 0.0))
         self._weight = np.concatenate([scheme.problem.omega * root, root])
         self._pushed = np.linalg.norm(root * scheme.velocity_of_load) / np.sqrt(scheme.steps)
+        turned = 2 * np.pi / scheme.steps if np.any(scheme.kind == FRICTION) else 0.0
+        self._small = max(_SMALL, _SOME * turned)
         self._ends: list[RealArray] = []
         self._residuals: list[RealArray] = []
         self._oscillation = 1.0
@@ -203,7 +206,7 @@ class Anderson:
             most = np.argmax(np.abs(multipliers))
             if abs(multipliers[most]) > multiplier:
                 multiplier, fastest = abs(multipliers[most]), mapped @ states[:, most].real
-        return None if fastest is None else _SMALL * self._oscillation * fastest
+        return None if fastest is None else self._small * self._oscillation * fastest
 
 
 def is_left(scheme: TimeScheme, step: Callable[[RealArray, Carried], Period], last: Period, beside: RealArray) -> bool:
@@ -223,6 +226,6 @@ def is_left(scheme: TimeScheme, step: Callable[[RealArray, Carried], Period], la
         pair = [np.concatenate([period.positions[-1], period.velocities[-1]]) for period in periods]
         carried = [period.carried for period in periods]
         apart.append(np.linalg.norm(energy * (pair[1] - pair[0])))
-        if not apart[0] / _FAR < apart[-1] < apart[0] * _FAR:
+        if not apart[0] / _FALLEN < apart[-1] < apart[0] * _FAR:
             break
     return bool(apart[-1] > _GROWN * apart[0])

@@ -58,6 +58,26 @@ def test_extrapolation_ends_on_the_branch_between_two_folds_and_says_so():
     assert abs(onto.output("tip")[1]) > 1.2 and abs(away.output("tip")[1]) < 0.8
 
 
+def test_where_a_mass_rubs_a_small_deviation_is_not_what_steps_make_of_it():
+    """It turns within a step: others were to leave a motion beside which all decays by five per cent a period."""
+    stops = np.array([1.01, 7.26])
+    stiffness = np.diag([3.16 + stops.sum(), 1.95, *stops])
+    stiffness[0, 1] = stiffness[1, 0] = -1.51
+    stiffness[0, 2:] = stiffness[2:, 0] = -stops
+    damping = np.zeros((4, 4))
+    damping[:2, :2] = [[0.01, -0.003], [-0.003, 0.006]]
+    loads = {0: [0.2, 0.0, 0.0, 0.0], 1: [-0.12 + 0.74j, 0.39 + 0.29j, 0.0, 0.0]}
+    normal, tangential = np.zeros((2, 3, 4))
+    normal[0, 2] = normal[1, 3] = -1.0
+    tangential[2, 1] = 1.0
+    model = ReducedModel(np.diag([1.91, 1.3, 0.0, 0.0]), damping, stiffness, normal, tangential, loads)
+    taps = ContactLaws(tangential="frictionless", initial_gap=[1.76, 0.0])
+    rubs = ContactLaws("prescribed", normal_force=0.53, friction=0.34)
+    problem = ContactProblem(model, [([0, 1], taps), ([2], rubs)], 3.39 / (2 * np.pi), 9)
+    steady = integrate(problem, "rest", steps=1024, periods=150, theta=0.505, acceleration=True)
+    assert steady.converged and not steady.unstable
+
+
 def test_what_alternates_and_decays_is_said_to_decay():
     """A mass that vibrates three times in two periods: next to steady, every second one was to be the same."""
     frequency, decay = 1.0, 0.97
