@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, repeat
 
 import numpy as np
@@ -87,6 +88,7 @@ def trace_branch(
     here, tangent, spent, halved = start, np.append(np.zeros(start.unknowns.size), 1.0), 0, False
     if before is not None:
         tangent = _point_to(before, start, span)
+    tangent_at = cache(lambda point: _find_tangent(balance_at, point.unknowns, point.parameter, span))
     ways = [(here, tangent)]  # the last points, and along what the branch came there
     while step >= smallest_step:
         found, onward, taken = _correct(balance_at, here, step * tangent, tangent, span, tolerance)
@@ -96,7 +98,7 @@ def trace_branch(
         if found is not None and np.isfinite(stray) and step > _LEAP and onward is not None:
             chord = _point_to(here, found, span)
             around = np.sign(onward @ chord) * (onward @ tangent) < _AROUND
-            if around or (chord @ tangent < _STRAIGHT and _turns_sense(balance_at, ways[0], (found, chord), span)):
+            if around or _turns_back(tangent_at, ways[0], (found, chord)):
                 found = None
         ahead = None
         if found is None and step <= _LEAP:
@@ -194,18 +196,24 @@ def _turn_corner(
     return found, sense * there if found else None, taken + 2 + steps
 
 
-def _turns_sense(
-    balance_at: BalanceAt, a: tuple[BranchPoint, RealArray], b: tuple[BranchPoint, RealArray], span: float
+def _turns_back(
+    tangent_at: Callable[[BranchPoint], RealArray | None],
+    a: tuple[BranchPoint, RealArray],
+    b: tuple[BranchPoint, RealArray],
 ) -> bool:
-    """Whether the bordered determinant changes its sign between two points, with directions along which to go there.
+    """Whether a branch that comes to one point along a direction goes on otherwise at another, by its sense in both.
 
-    As where a step leapt over the corner in which the branch turns back, to where that piece came from.
+    As where a step leapt over the corner in which the branch turns back, to where that piece came from. The step may
+    look straight, for forces are small where contact is only just grazed. Where a sense is not known it does not.
+
+    Args:
+        tangent_at: As ``_find_tangent``.
+        a, b: The points, with directions along which to come there.
     """
-    senses = []
-    for point, direction in (a, b):
-        there = _find_tangent(balance_at, point.unknowns, point.parameter, span)
-        senses.append(0.0 if there is None or abs(there @ direction) < _ALONG else np.sign(there @ direction))
-    return senses[0] * senses[1] < 0
+    (begin, way), (end, onward) = ((tangent_at(point), direction) for point, direction in (a, b))
+    if begin is None or end is None or abs(begin @ way) < _ALONG:
+        return False
+    return np.sign(begin @ way) * (end @ onward) < _ALONG
 
 
 def _find_tangent(balance_at: BalanceAt, unknowns: RealArray, parameter: float, span: float) -> RealArray | None:

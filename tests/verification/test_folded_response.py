@@ -271,23 +271,46 @@ def test_a_nose_that_steps_through_frequency_leapt_over_is_gone_round_all_the_sa
     np.testing.assert_allclose(np.abs(curve.output("tip")[after, 1]), linear, rtol=1e-6)
 
 
-def test_no_step_along_the_middle_branch_leaps_over_the_corner_at_its_end():
-    """Two unequal stops: a long step landed where the mass is free, and went on down in frequency out of the range."""
-    near, far = 1.8, 1.9
-    model = ReducedModel(
-        mass=np.diag([1.6, 0.0, 0.0]),
-        damping=np.diag([0.025, 0.0, 0.0]),
-        stiffness=[[1.0 + near + far, -near, far], [-near, near, 0.0], [far, 0.0, far]],
+def meet_two_stops(mass: float, damping: float, near: float, far: float, side: float = 1.0) -> ReducedModel:
+    """A mass on a spring of 1 N/m under 0.1 N, with a stop of stiffness ``near`` ahead and one of ``far`` behind it.
+
+    With ``side = -1`` both are ahead.
+    """
+    return ReducedModel(
+        mass=np.diag([mass, 0.0, 0.0]),
+        damping=np.diag([damping, 0.0, 0.0]),
+        stiffness=[[1.0 + near + far, -near, side * far], [-near, near, 0.0], [side * far, 0.0, far]],
         normal=[[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
         load={1: [0.1, 0.0, 0.0]},
         outputs={"tip": [1.0, 0.0, 0.0]},
     )
-    laws = ContactLaws(tangential="frictionless", initial_gap=[2.9, 2.8])
-    curve = frequency_response(model, laws, np.linspace(0.08, 0.16, 9), harmonics=7, progress=False)
+
+
+def find_grazing(mass: float, damping: float, gap: float) -> float:
+    """Above its resonance, where the mass just reaches a stop under a force of 0.1 [Hz]."""
+    w2 = np.roots([mass**2, damping**2 - 2 * mass, 1.0 - (0.1 / gap) ** 2]).max()
+    return np.sqrt(w2) / 2 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("model", "gaps", "span", "points", "harmonics"),
+    [
+        ((1.6, 0.025, 1.8, 1.9), [2.9, 2.8], (0.08, 0.16), 9, 7),
+        ((1.0, 0.038, 4.2, 3.9, -1.0), [2.0, 0.7], (0.1, 0.21), 8, 7),
+        ((1.0, 0.03, 4.7, 1.2), [0.9, 2.7], (0.1, 0.27), 6, 3),
+    ],
+)
+def test_no_step_along_the_middle_branch_leaps_over_the_corner_at_its_end(model, gaps, span, points, harmonics):
+    """Of two unequal stops: a long step landed where the mass is free, and the middle branch's end was left out.
+
+    Close to it forces vanish: to the step the corner looks straight, however far the branch turns back there.
+    """
+    laws = ContactLaws(tangential="frictionless", initial_gap=gaps)
+    frequencies = np.linspace(*span, points)
+    curve = frequency_response(meet_two_stops(*model), laws, frequencies, harmonics=harmonics, progress=False)
     assert curve.jumps == () and curve.missing == ()
     lowest = curve.frequencies[find_turns(curve.frequencies)[-1]]
-    w2 = np.roots([1.6**2, 0.025**2 - 3.2, 1.0 - (0.1 / 2.8) ** 2]).max()  # where the nearer stop is grazed
-    assert lowest == pytest.approx(np.sqrt(w2) / 2 / np.pi, rel=5e-3)
+    assert lowest == pytest.approx(find_grazing(*model[:2], min(gaps)), rel=5e-3)
 
 
 def test_a_target_that_a_trace_passes_is_reached_from_nearer_by(curve, monkeypatch):
