@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import product
 
 import numpy as np
 
@@ -35,6 +36,9 @@ COARSE = 0.2  # change of state between traced points, about, where there is no 
 # Distances of a traced point, in steps, from which it is another branch's: a wide one may leap to a branch near by, of
 # which a narrow one keeps clear
 STRAYS = (3.0, 1.5)
+# In which sense a fold is gone round, by the side where steps began, and 0: along the last points. On the odd side they
+# may themselves have begun beyond a nose.
+SENSES = {1: (1, 0), 0: (0,), -1: (-1, 1)}
 # Forces count little in arc length: they are measured by those of the stuck joint, up to so many times the usual. In
 # shorter steps through frequency the tracer turns round every corner of a wriggle.
 MOST_STUCK = 1e3
@@ -186,7 +190,7 @@ class Follower:
                 tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
                 lost, far = surprise > LARGEST_SURPRISE, bool(self.refine) and change > self.refine
                 turns = tiny and (lost or far) and here.problem.system.rows.shape[0]
-                traced = self._trace(begun, here, before, target) if turns else None
+                traced = self._trace(begun, curve.points, here, before, target) if turns else None
                 if traced and (lost or not traced.jumps):
                     curve.extend(traced)
                     reach = np.inf
@@ -248,20 +252,25 @@ class Follower:
         return found, min(change, compare_states(state, last + ratio * (last - read_state(before)))), change
 
     def _trace(
-        self, begun: PeriodicSolution, here: PeriodicSolution, before: PeriodicSolution | None, target: float
+        self,
+        begun: PeriodicSolution,
+        kept: list[PeriodicSolution],
+        here: PeriodicSolution,
+        before: PeriodicSolution | None,
+        target: float,
     ) -> Curve:
         """The branch from a point next to a fold until it passes ``target``, its last point; or a cold solve there.
 
         Steps through frequency may leap over the nose of a fold, and then follow what lies beyond back up to it: from
-        there the branch leads on the other way. Points on another side than where they ``begun`` tell of that.
+        there the branch leads on the other way. Its sense, which the side tells where they ``begun``, is that of the
+        branch all along. Points ``kept`` on another side are taken out: it passes them again, in its own order.
         """
-        ways = [(here, before, stray) for stray in STRAYS]
-        if before is not None and min(here.side * begun.side, before.side * begun.side) < 0:
-            ways += [(before, here, stray) for stray in STRAYS]
-        for last, earlier, stray in ways:
-            points, why = self._trace_arc(last, earlier, target, stray)
+        for sense, stray in product(SENSES[begun.side], STRAYS):
+            points, why = self._trace_arc(here, before, target, stray, sense)
             self.tell("")
             if not why:
+                if sense:
+                    kept[:] = [point for point in kept if point is here or point.side * sense > 0]
                 return Curve(points)
             if CLOSED in why:
                 break
@@ -274,7 +283,7 @@ class Follower:
         return Curve([cold], [Jump((here.problem.frequency, target), why)])
 
     def _trace_arc(
-        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float
+        self, here: PeriodicSolution, before: PeriodicSolution | None, target: float, stray: float, sense: int
     ) -> tuple[list[PeriodicSolution], str]:
         """Arc-length continuation until the branch passes ``target``: its points, and why it did not get there."""
         unit = HarmonicBalance(here.problem.system).measure_stick(MOST_STUCK)
@@ -319,6 +328,7 @@ class Follower:
             largest_step=0.1,
             tolerance=self.tolerance,
             before=last,
+            sense=sense,
             stray=stray,
             measure_room=measure_room,
         )

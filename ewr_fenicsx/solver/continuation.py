@@ -64,6 +64,7 @@ def trace_branch(
     largest_step: float = np.inf,
     tolerance: float = 1e-8,
     before: BranchPoint | None = None,
+    sense: int = 0,
     stray: float = np.inf,
     measure_room: Callable[[BranchPoint, BranchPoint], float] = lambda here, found: np.inf,
 ) -> Iterator[BranchPoint]:
@@ -79,6 +80,8 @@ def trace_branch(
         tolerance: Residual norm of accepted points.
         before: The branch's last point before ``start``, through which the first secant goes; None: the first step
             changes the parameter alone, which misses the branch where it is close to a fold.
+        sense: Which way to go from ``start``: 1 or -1 times the one in which the bordered determinant is positive,
+            wherever ``before`` is; 0, or where that is not known: along the secant.
         stray: A point further from the last one than so many steps is another branch's. Where it is finite, long steps
             across a sharp corner are halved, and go along secants: they come closer to a corner, in more steps. Else a
             step that follows a halved one is no longer than that.
@@ -89,6 +92,8 @@ def trace_branch(
     if before is not None:
         tangent = _point_to(before, start, span)
     tangent_at = cache(lambda point: _find_tangent(balance_at, point.unknowns, point.parameter, span))
+    if sense and (there := tangent_at(start)) is not None:
+        tangent = sense * there
     ways = [(here, tangent)]  # the last points, and along what the branch came there
     while step >= smallest_step:
         found, onward, taken = _correct(balance_at, here, step * tangent, tangent, span, tolerance)
