@@ -228,13 +228,16 @@ def _find_tangent(balance_at: BalanceAt, unknowns: RealArray, parameter: float, 
     """
     try:
         balance = balance_at(parameter)
+        side = find_side(balance, unknowns)
+        if not side:  # as where there are too many unknowns to look: the rest would take long as well
+            return None
         linear = balance.linearise(unknowns)
         across = linear.solve(_differentiate(balance_at, linear, unknowns, parameter, span))
     except (np.linalg.LinAlgError, ModelError):  # the latter as in ``_correct``
         return None
-    tangent = np.append(-across, 1.0) * find_side(balance, unknowns)
+    tangent = np.append(-across, 1.0) * side
     norm = np.linalg.norm(tangent)
-    return tangent / norm if 0 < norm < np.inf else None
+    return tangent / norm if norm < np.inf else None
 
 
 def _differentiate(

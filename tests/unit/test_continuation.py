@@ -71,6 +71,15 @@ def test_the_tangent_points_along_the_branch():
         assert abs(chord @ tangent) / np.linalg.norm(chord) > 0.999
 
 
+def test_where_the_sense_is_not_known_no_tangent_is_solved_for(monkeypatch):
+    """With too many unknowns to look, two linearisations and a factorisation a point went to waste."""
+    laws = ContactLaws(normal="prescribed", normal_force=1.0, friction=0.3)
+    here, at = begin(ContactProblem(friction_oscillator(damping=0.1), laws, 0.1, 3))
+    monkeypatch.setattr("ewr_fenicsx.in_time.stability.MOST_UNKNOWNS", 0)
+    monkeypatch.delattr(HarmonicBalance, "linearise")
+    assert continuation._find_tangent(at, here.unknowns, here.parameter, 1.0) is None
+
+
 def test_the_last_step_of_the_corrector_counts(monkeypatch):
     """Where as many are allowed as a point takes, it is found, and with one less it is not."""
     problem = ContactProblem(dovetail(excitation=600.0), ContactLaws(friction=0.2), 1000.0, 9)
