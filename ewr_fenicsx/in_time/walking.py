@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.balance.balance import HELD_FIRMER, HarmonicBalance
 from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
@@ -27,6 +27,7 @@ from ewr_fenicsx.problem.law_claims import read_fields
 NOTICED = 1e-2  # share of the largest friction force, above which springs hold the body in place of friction
 HELD = 1e-5  # share below which friction holds it: what decides its mean force leaves less
 DRAWN_OUT = 100.0  # at rest, where nothing is truncated: times the natural length that springs may be drawn out
+FIRMER, SHORTER = 10.0, 0.5  # springs so much firmer are drawn out by less than this share where they hold a body
 SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a word
 # Periods in time for which a body is watched; and how many times faster than at their end it may have gone half-way
 # where its motion has settled; a third of them apart, ways that fade away are none that last
@@ -69,8 +70,27 @@ def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
     left, largest = _leave_over(balance, unknowns)
     share = float(np.max(balance.static_displacement_row * balance.system.flexibility, initial=0.0))
-    noticed = NOTICED if np.any(balance.rate) else min(NOTICED, DRAWN_OUT * share)
-    return bool(left.max() > noticed * largest)
+    if np.any(balance.rate):
+        return bool(left.max() > NOTICED * largest)
+    far = left > min(NOTICED, DRAWN_OUT * share) * largest
+    return bool(np.any(far) and np.any(far & _springs_hold(balance, unknowns)))
+
+
+def _springs_hold(balance: HarmonicBalance, unknowns: RealArray) -> np.ndarray:
+    """Rows ``(m,)`` that springs hold at rest: firmer ones would be drawn out by less.
+
+    Where friction is small, elastic bodies slide far before they rest; springs are drawn out by as much, and hold none.
+    """
+    shares = balance.static_displacement_row * balance.system.flexibility
+    firmer = balance.with_least_share(FIRMER * float(np.max(np.where(balance.held, shares / HELD_FIRMER, shares))))
+    step = firmer.linearise(unknowns)
+    try:
+        ends = unknowns, unknowns - step.solve(step.residual)
+    except np.linalg.LinAlgError:  # nothing tells
+        return np.ones(balance.rows, dtype=bool)
+    motions = (balance.compliance.motion(*balance.unpack(end))[0].real for end in ends)
+    now, then = (measure_in_plane(balance.system, motion) for motion in motions)
+    return then < SHORTER * now
 
 
 def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance, expected: Walk) -> Walk | None:

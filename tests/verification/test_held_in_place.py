@@ -162,6 +162,16 @@ def test_a_static_load_moves_what_friction_does_not_hold(squeeze, place):
     assert any("where they rest" in line for line in least.cautions) == (squeeze > 0)
 
 
+@pytest.mark.parametrize("friction", [1e-4, 1e-3, 5e-3])
+def test_a_blade_under_next_to_no_friction_comes_to_rest_as_without(friction):
+    """It slides far beside what friction could draw out, which was taken for a body that walks."""
+    glides = solve(ContactProblem(dovetail(excitation=0.0), ContactLaws(tangential="frictionless"), 0.0))
+    found = solve(replace(glides.problem, laws=ContactLaws(friction=friction, static_friction="held")))
+    normal, rubbing = (found.history(name, 1)[0] for name in ("normal_force", "friction_force"))
+    assert normal == pytest.approx(glides.history("normal_force", 1)[0], rel=2 * friction)
+    assert rubbing == pytest.approx(friction * normal * np.repeat([-1.0, 1.0], 3), rel=2e-3)
+
+
 def shaken_node(damping: float, mean: float) -> ContactProblem:
     """A mass at its resonance with a surface that sticks: its force swings by 20 N of a limit of 50 N."""
     ground, spring = 1e5, 9e5

@@ -215,13 +215,17 @@ def test_a_ladder_stands_at_rest():
 
 
 def test_bodies_in_a_plane_come_to_rest_without_a_fallback():
-    found = []
+    """But for one, of which a foot lifts off after a long way: the only one that was said to walk, and does not."""
+    found = {}
     for seed in range(60):
         try:
-            found.append(solve(ContactProblem(body_on_leaning_feet(seed), ContactLaws(friction=0.5), 0.0)))
+            found[seed] = solve(ContactProblem(body_on_leaning_feet(seed), ContactLaws(friction=0.5), 0.0))
         except (UnheldBody, NotConverged):  # leaves its feet, or slides
             continue
-    assert len(found) > 25 and not any(solution.fallbacks for solution in found)
+    assert len(found) > 25 and [seed for seed, solution in found.items() if solution.fallbacks] == [34]
+    normal, rubbing = (found[34].history(name, 1)[0] for name in ("normal_force", "friction_force"))
+    assert normal[:2].min() > 0.4 and normal[2] == pytest.approx(0.0, abs=1e-9)
+    assert rubbing == pytest.approx([-0.5 * normal[0], rubbing[1], 0.0], abs=2e-4) and abs(rubbing[1]) < 0.5 * normal[1]
 
 
 def body_on_leaning_feet(seed: int) -> ReducedModel:
