@@ -27,6 +27,8 @@ MAX_STEPS = 150  # -ewr_snes_max_it
 # Residual of the firm balance from which the balance itself is a few steps away. From larger ones they are fewer, but
 # which mean friction pairs that stick are left with then depends on the way that a solution was found.
 TAKE_OVER = 1e-6
+# Of the firm balance's residual: below, a start knows where springs hold pairs, from where firmer ones would move them
+HELD_NEAR = 0.1
 SOFTER = (1e-5, 1e-6, 1e-7)  # shares of the mean force in between, where the firm balance's solution is too far off
 NEED_MATRIX = ("newtontr", "newtontrdc", "vinewtonssls")  # its transpose, or scaled rows; as PETSc's preconditioners do
 SMALLEST_DAMPING = 1e-6  # of a Newton step
@@ -86,6 +88,8 @@ def run_newton(
 ) -> Attempt:
     """Newton's method through PETSc SNES, options under the prefix ``ewr_``: the firm balance first, then the balance.
 
+    Where springs hold pairs (``static_friction = "held"``), a start near a solution begins with the balance itself.
+
     Args:
         balance: The balance.
         start: Scaled unknowns.
@@ -98,16 +102,21 @@ def run_newton(
     with closing(_Newton(balance, linear_solver, limit)) as newton:
         if balance.firm is balance or norm <= tolerance:
             return newton.run(balance, start, tolerance, near)
-        firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)
         attempts = []
+        if np.any(balance.held) and norm < HELD_NEAR * balance.firm.measure_residual(start):
+            attempts.append(newton.run(balance, start, tolerance, near))
+            if attempts[0].converged or attempts[0].walks:
+                return attempts[0]
+        begun = bool(attempts)
+        firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)
         if firm.converged:  # the factors of its last step serve the balance as well
             attempts.append(newton.run(balance, firm.unknowns, tolerance, near=True, again=True))
-            if np.any(balance.held) and not attempts[0].converged:
+            if np.any(balance.held) and not attempts[-1].converged:
                 attempts += _soften(newton, balance, firm.unknowns, tolerance)
         # Weights far above the defaults put the two balances far apart, and a joint that mostly sticks is found by one
         # where it is not with the other: then from the start again, unless it was too far off for the steps allowed.
         elsewhere = firm.converged or (norm < CLOSER and firm.iterations != limit)
-        if elsewhere and not any(attempt.converged for attempt in attempts):
+        if elsewhere and not begun and not any(attempt.converged for attempt in attempts):
             attempts.append(newton.run(balance, start, tolerance, near))
     if not attempts:
         return replace(firm, residual=balance.measure_residual(firm.unknowns))

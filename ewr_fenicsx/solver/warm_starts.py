@@ -124,10 +124,14 @@ def list_predicted(
     """Where to start from forces and motions that need not fit each other, as in ``guide``."""
     unknowns = balance.pack(forces, rigid)
     step = balance.linearise(unknowns, motion)
+    held = bool(np.any(balance.held))
+    if held:  # a splitting moves pairs away from where springs hold them
+        yield step_from(step, unknowns), False, 1
     if step.unknowns_left >= WORTHWHILE:
         for near in split(balance, forces, motion):
             yield near, True, 0
-    yield step_from(step, unknowns), False, 1
+    if not held:
+        yield step_from(step, unknowns), False, 1
 
 
 def split(balance: HarmonicBalance, forces: ComplexArray, motion: ComplexArray) -> Iterator[RealArray]:

@@ -11,6 +11,7 @@ from small_models import dovetail
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Tolerance, evolve_wear, integrate, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.in_time.time_stepping import State
+from ewr_fenicsx.response.following import agree, solve_from
 from ewr_fenicsx.solution.loading_history import find_stuck
 from ewr_fenicsx.solver import initial_states, snes
 
@@ -219,6 +220,16 @@ def test_starts_lead_to_the_same_state(frequency):
     warm = solve(problem, start=near)
     np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-5 * np.abs(cold.forces).max())
     assert np.linalg.norm(near.forces[0] - cold.forces[0]) > 0.03 * np.linalg.norm(cold.forces[0])
+
+
+@pytest.mark.parametrize("frequency", [800.0, 950.0, 1050.0])
+def test_a_neighbour_knows_where_springs_hold_its_pairs(frequency):
+    """Firmer springs, from which a cold start begins, moved them: ten Newton steps more, and curves that crept."""
+    laws = ContactLaws(friction=0.3, static_friction="held")
+    begun = solve(ContactProblem(dovetail(excitation=400.0), laws, frequency, 15))
+    found = solve_from(replace(begun.problem, frequency=frequency + 1.0), begun)
+    assert found.converged and found.iterations < 4
+    assert agree(found, solve(found.problem))
 
 
 def test_a_pair_that_holds_takes_over_what_another_wears_off():
