@@ -20,7 +20,7 @@ from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, RING, MISTUNED, PRESSED, LOADS, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
+SCRIPT, READER, ELEMENTS, RING, MISTUNED, PRESSED, LOADS, WORN, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
 SOLIDS, HALF, CYCLIC = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -124,6 +124,19 @@ def test_interference_is_enough_or_too_little(capsys):
     exec(compile(PRESSED, "docs/how_to.md", "exec"), {})
     enough, too_little = (float(line.split("by ")[1].split()[0]) for line in capsys.readouterr().out.splitlines())
     assert too_little > 100 * enough > 0
+
+
+def test_a_worn_joint_is_swept_and_worn_on(capsys):
+    """Softer than the new one; it moves as the last cycle of its wear did, and wears on from the same depth."""
+    names: dict = {}
+    exec(compile(WORN, "docs/how_to.md", "exec"), names)
+    assert "µm, then" in capsys.readouterr().out
+    new, worn = (names["curves"][name] for name in ("new", "worn"))
+    assert worn.figure("rms_tip")[0] > 1.1 * new.figure("rms_tip")[0]
+    again = solve(replace(names["joint"], wear=names["worn"]))
+    assert worn.figure("rms_tip")[2] == pytest.approx(again.merit["rms_tip"], rel=1e-6)
+    assert np.array_equal(names["later"].depth[0], names["worn"])
+    assert names["later"].depth[-1].max() > 1.2 * names["worn"].max()
 
 
 def test_a_solve_tells_what_it_is_about(caplog):
