@@ -118,13 +118,12 @@ def pair_interface(
         body_a: The body on which the normals point outward.
         body_b: The other one; None: all flanks are between sectors.
         tolerance: Largest distance between the nodes of a pair, relative to the flank's length.
-        in_use: Boundaries that are held, loaded or followed: without ``flanks``, no flank where the bodies do not lie
-            face to face, such as the feet of two blades.
+        in_use: Boundaries held, loaded or followed: without ``flanks``, flanks only where the bodies lie face to face.
         ring: Of which the mesh is a sector; its flanks come after the others.
 
     Raises:
-        InterfaceError: An unknown or empty flank, sides with unequal node counts, nodes further apart than the
-            tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
+        InterfaceError: An unknown or empty flank, a third body on one, sides with unequal node counts, nodes further
+            apart than the tolerance, a node shared by both bodies or by two flanks, a flank that turns a corner, or
             that has both bodies on the same side, or a pair whose nodes are both held across the flank.
     """
     mesh, beyond = structure.mesh, ring.flanks if ring else {}
@@ -147,13 +146,15 @@ def pair_interface(
         sides[name] = _gather_side(structure, side), _turn(_gather_side(structure, other), ring, mesh.dimension)
     closes = dict.fromkeys(beyond, "; see sectors, centre, axis and which comes first in cyclic.flanks")
     closes |= dict.fromkeys(apart, "; or, if it is no flank, name the flanks in contact.flanks")
-    closes |= dict.fromkeys(crowded, f"; a third body is on it, too: a joint has two, make that a part of {body_b}")
-    names = tuple(sides)
-    paired = [_pair_sides(n, *sides[n], *whose[n], tolerance, closes.get(n, "")) for n in names]
-    for name, (a, b) in zip(names, paired, strict=True):
+    crowd = f"a third body is on it, too: a joint has two, make that a part of {body_b}"
+    closes |= dict.fromkeys(crowded, f"; {crowd}")
+    paired = {n: _pair_sides(n, *both, *whose[n], tolerance, closes.get(n, "")) for n, both in sides.items()}
+    if crowded:  # it would touch nothing
+        raise InterfaceError(f'flank "{crowded[0]}": {crowd}')
+    for name, (a, b) in paired.items():
         _check_smooth(name, a)
         _check_opposed(name, a, b, *whose[name])
-    return _lay_pairs(structure, names, paired, on, ring)
+    return _lay_pairs(structure, tuple(paired), list(paired.values()), on, ring)
 
 
 def _check_names(mesh: JointMesh, bodies: Sequence[str], flanks: Sequence[str]) -> None:

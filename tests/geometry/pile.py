@@ -6,7 +6,13 @@ import gmsh
 
 
 def build(
-    *, cover: str = "cover", glued: bool = False, pinned: bool = False, gap: float = 0.0, lid: str = "lid"
+    *,
+    cover: str = "cover",
+    glued: bool = False,
+    pinned: bool = False,
+    gap: float = 0.0,
+    lid: str = "lid",
+    sides: int = 2,
 ) -> None:
     """Adds the blocks, their mesh and the groups disk, blade, joint, lid, tip and clamp to the current gmsh model.
 
@@ -16,6 +22,7 @@ def build(
         pinned: Whether it shares those at the ends of its seat alone, and has fewer cells along that.
         gap: Between both [m].
         lid: Name of the group that the cover's seat is in; none where it is empty.
+        sides: Of that seat in the group; one: the cover's.
     """
     geo, width, height = gmsh.model.geo, 0.04, 0.02
     groups: dict[tuple[int, str], list[int]] = {}
@@ -45,7 +52,7 @@ def build(
         cover_seat = [blade[2], upper[0]]
     groups |= {(1, "joint"): [disk[2], blade[0]], (1, "tip"): [blade[1]], (1, "clamp"): [disk[0], upper[2]]}
     if lid:
-        groups.setdefault((1, lid), []).extend(cover_seat)
+        groups.setdefault((1, lid), []).extend(cover_seat[-sides:])
     geo.synchronize()
     for (dimension, name), members in groups.items():
         gmsh.model.setPhysicalName(dimension, gmsh.model.addPhysicalGroup(dimension, members), name)

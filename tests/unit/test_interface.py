@@ -149,6 +149,8 @@ def test_unequal_node_counts_are_named():
 def test_a_third_body_on_a_flank_is_told():
     with pytest.raises(InterfaceError, match=r"same transfinite count; a third body is on it, .* a part of disk$"):
         pair_interface(assemble(PILE, lid="joint"), ["joint"])
+    with pytest.raises(InterfaceError, match=r'^flank "joint": a third body is on it, .* a part of disk$'):
+        pair_interface(assemble(PILE, lid="joint", sides=1))
 
 
 @pytest.mark.parametrize(
