@@ -15,12 +15,13 @@ from small_models import dovetail
 from small_scenes import read_demo
 from sparse_matrices import to_scipy
 
-from ewr_fenicsx import ContactLaws, ContactProblem, integrate, load_scene, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, Scene, integrate, load_scene, solve
+from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_to.md").read_text(encoding="utf-8")
-SCRIPT, READER, ELEMENTS, RING, MISTUNED, PRESSED, LOADS, WORN, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
+SCRIPT, READER, ELEMENTS, MESHES, RING, MISTUNED, PRESSED, LOADS, WORN, DOWN, ACCURACY, TRANSIENT, WATCH = re.findall(
     r"^```python\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL
 )
 SOLIDS, HALF, CYCLIC = re.findall(r"^```toml\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
@@ -124,6 +125,19 @@ def test_interference_is_enough_or_too_little(capsys):
     exec(compile(PRESSED, "docs/how_to.md", "exec"), {})
     enough, too_little = (float(line.split("by ")[1].split()[0]) for line in capsys.readouterr().out.splitlines())
     assert too_little > 100 * enough > 0
+
+
+def test_a_scene_is_changed_in_python_as_its_file_would_be(tmp_path, capsys):
+    names: dict = {}
+    exec(compile(MESHES, "docs/how_to.md", "exec"), names)
+    coarse, fine, curved = (float(line.split(": ")[1].split()[0]) for line in capsys.readouterr().out.splitlines())
+    assert coarse < fine < curved
+    changed = 'lap_joint.py"\nparameters.mesh_size = 4e-3\n[elasticity]\ndegree = 2\n'
+    path = tmp_path / "lap.toml"
+    path.write_text(read_demo("bolted_lap").replace('lap_joint.py"\n', changed), encoding="utf-8")
+    assert names["changed"].model_dump() == load_scene(path).model_dump()
+    with pytest.raises(SceneError, match="mesh_sise"):
+        Scene(**names["scene"] | {"geometry": {"source": "a.py", "mesh_sise": 1}})
 
 
 def test_a_worn_joint_is_swept_and_worn_on(capsys):
