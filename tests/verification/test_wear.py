@@ -290,6 +290,28 @@ def test_what_rings_while_it_is_open_does_not_wear(mean, within):
         assert mean_force == pytest.approx(history.solutions[0].pair_forces["normal"][0, 0].real, rel=1e-3)
 
 
+@pytest.mark.parametrize("closure", ["dashpot", "mass", np.array([1e-6])])
+def test_a_pressure_that_rises_as_the_surface_slows_down_wears_by_their_product(closure):
+    """A mass without friction under ``100 - 90 sin(2 tau)`` N, which slides at ``cos(tau)``: the mean alone wears.
+
+    Whatever closes the truncation of a friction force that is zero.
+    """
+    omega = 2 * np.pi * 100.0
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0]),
+        damping=np.zeros((2, 2)),
+        stiffness=np.diag([0.25 * omega**2, 1e7]),
+        normal=[[0.0, 1.0]],
+        tangential=[[1.0, 0.0]],
+        load={0: [0.0, -100.0], 1: [0.75j * omega, 0.0], 2: [0.0, -90j]},
+        pair_area=[2e-5],
+    )
+    solution = solve(ContactProblem(model, ContactLaws(friction=0.0), 100.0, harmonics=3, closure=closure))
+    assert solution.history("slip_velocity", 4)[:, 0] == pytest.approx([1.0, 0.0, -1.0, 0.0], abs=1e-12)
+    rate = measure_wear_rate(solution, np.array([1e-11]))
+    np.testing.assert_allclose(rate, 1e-11 * 100.0 * 2 / np.pi / 2e-5 / 100.0, rtol=1e-5)
+
+
 def test_sliding_along_both_tangents_wears():
     """A pair in 3-D without friction, driven along the second tangent: four amplitudes a cycle."""
     model = ReducedModel(
