@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from reprlib import repr as shorten
+
+import numpy as np
 
 from ewr_fenicsx.accuracy.accuracy import MORE, solve_to_accuracy
 from ewr_fenicsx.accuracy.estimates import Figure, estimate_at_once
 from ewr_fenicsx.errors import EwrError, ModelError, NotConverged
+from ewr_fenicsx.given import is_whole
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver import newton
@@ -23,7 +27,7 @@ def solve(
     *,
     accuracy: float | None = None,
     linear_solver: LinearSolver = "elimination",
-    fallbacks: bool = True,
+    fallbacks: bool | int = True,
     raise_on_failure: bool = True,
 ) -> PeriodicSolution:
     """Periodic solution of a contact problem.
@@ -37,7 +41,8 @@ def solve(
             chosen, not the problem's own (``solve_to_accuracy`` says how, and returns more). None: the problem's.
         linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
             and leaves it to PETSc's KSP. Both take the same steps.
-        fallbacks: Whether to go through the ladder where the first attempt fails (``newton.solve`` lists its rungs).
+        fallbacks: Whether to go through the ladder where the first attempt fails (``newton.solve`` lists its rungs), or
+            how many further rungs to take.
         raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
@@ -49,17 +54,23 @@ def solve(
         ModelError: An argument makes no sense, or is not for an accuracy.
         NotConverged: No solution was found; carries the best iterate and the rungs tried.
     """
+    if isinstance(fallbacks, np.bool_):
+        fallbacks = bool(fallbacks)
+    if not is_whole(fallbacks):
+        raise ModelError(
+            f"fallbacks = {shorten(fallbacks)}; give True for all further rungs, False for none, or how many, from 0"
+        )
     if accuracy is None:
         solution = newton.solve(
             problem,
             start,
             tolerance,
             linear_solver=linear_solver,
-            fallbacks=fallbacks,
+            fallbacks=fallbacks if fallbacks is True else int(fallbacks),
             raise_on_failure=raise_on_failure,
         )
         return replace(solution, tell_error=tell_error)
-    if linear_solver != "elimination" or not fallbacks:
+    if linear_solver != "elimination" or fallbacks is not True:
         raise ModelError(
             "linear_solver and fallbacks: an accuracy, which takes several solves, chooses them; leave them out"
         )

@@ -112,8 +112,30 @@ def test_a_solve_that_fails_raises_or_returns_the_best_iterate(monkeypatch):
         ({"accuracy": 1.0}, "accuracy = 1.0; give a relative error between 0 and 1"),
         ({"accuracy": 0.1, "linear_solver": "dense"}, "linear_solver and fallbacks: an accuracy, .* leave them out"),
         ({"accuracy": 0.1, "fallbacks": False}, "linear_solver and fallbacks: an accuracy, .* leave them out"),
+        ({"accuracy": 0.1, "fallbacks": 2}, "linear_solver and fallbacks: an accuracy, .* leave them out"),
     ],
 )
 def test_what_an_accuracy_does_not_take_is_refused(choice, message):
     with pytest.raises(ModelError, match=message):
         solve(JOINT, **choice)
+
+
+@pytest.mark.parametrize("rungs", [-1, None, 0.5, np.inf, "all"])
+def test_what_is_no_number_of_fallbacks_is_refused(rungs):
+    """With minus one no way at all was taken, and nothing passed for a solution."""
+    with pytest.raises(ModelError, match=f"fallbacks = {rungs!r}; give True for all further rungs, False for none"):
+        solve(JOINT, fallbacks=rungs)
+
+
+@pytest.mark.parametrize(("given", "meant"), [(np.True_, True), (np.False_, 0), (2.0, 2), (np.int8(1), 1)])
+def test_fallbacks_may_be_of_any_type_of_number(monkeypatch, given, meant):
+    taken = []
+
+    def note(*_, **choice):
+        taken.append(choice["fallbacks"])
+        raise NotConverged("as if", best=None)
+
+    monkeypatch.setattr(newton, "solve", note)
+    with pytest.raises(NotConverged):
+        solve(JOINT, fallbacks=given)
+    assert taken == [meant] and type(taken[0]) is type(meant)
