@@ -28,6 +28,7 @@ from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses
 from ewr_fenicsx.errors import ModelError, NotConverged
 from ewr_fenicsx.given import is_whole, read_numbers
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
+from ewr_fenicsx.solution.loading_history import find_missed_mean
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 LOG = logging.getLogger(__name__)  # INFO: each level, as it is done
@@ -259,9 +260,10 @@ def judge(
     leave far less than the change that they brought, which tells nothing of their error.) A last set cut short by a
     limit has few new harmonics, which tell little of those to come: its change counts as after the least growth.
     Harmonics and samples are looked at together. Where they are above the accuracy they are raised whatever the other
-    errors are: those wait. Where they are far below it, the weight need not be looked at. Where more harmonics than at
-    the level before have not halved them, the samples are looked at by themselves, unless they did not matter at a
-    level before: there are as many a harmonic.
+    errors are: those wait. Where they are far below it, the weight need not be looked at, unless mean friction is set
+    to zero that would not be: it then shows whatever the harmonics. Where more harmonics than at the level before have
+    not halved them, the samples are looked at by themselves, unless they did not matter at a level before: there are as
+    many a harmonic.
     """
     error, samples, sliding = 0.0, np.nan, np.nan
     moved = 0.0 if before is None else measure_distance(before, solution, figure)
@@ -277,7 +279,8 @@ def judge(
         samples = min(estimate_samples(solution, figure), error)
     if error > accuracy:
         return ErrorEstimate(error - np.nan_to_num(samples), samples, sliding=sliding)
-    weight = estimate_weight(solution, figure) if CLEAR * error >= accuracy else np.nan
+    shows = CLEAR * error >= accuracy or find_missed_mean(solution)
+    weight = estimate_weight(solution, figure) if shows else np.nan
     error_of_modes = estimate_modes(solution, modes, figure)
     return ErrorEstimate(error, np.nan, weight, error_of_modes, sliding)
 

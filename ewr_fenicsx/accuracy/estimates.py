@@ -35,6 +35,7 @@ from ewr_fenicsx.laws.cone import FrictionLaw
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.dashpots import read_friction_weight
 from ewr_fenicsx.solution.indicators import measure_work
+from ewr_fenicsx.solution.loading_history import find_missed_mean
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.newton import solve
 
@@ -316,12 +317,14 @@ def estimate_at_once(
 ) -> ErrorEstimate:
     """What a solution that nobody asked an accuracy of is off by, roughly: harmonics and samples together, and modes.
 
-    Where single Newton steps tell of a large error, it is mostly theirs: the neighbouring problem is then solved, where
+    The weight as well where mean friction is set to zero that would not be: it then shows whatever the harmonics. Where
+    single Newton steps tell of a large error, it is mostly theirs: the neighbouring problem is then solved, where
     that does not take long.
 
     Args:
         solution, modes, figure: As in ``estimate_errors``.
     """
+    weight = estimate_weight(solution, figure) if find_missed_mean(solution) else np.nan
     seen_ahead = estimate_together(solution, USUAL, figure)
     if seen_ahead.error > CLEAR * USUAL and solution.unknowns <= LARGEST_AHEAD:
         problem, seen = look_further(solution)
@@ -329,9 +332,8 @@ def estimate_at_once(
         if ahead.converged:
             error, sliding = measure_distance(ahead, solution, figure), compare_sliding(ahead, solution)
             seen_ahead = Look(error / seen, sliding / seen)
-    return ErrorEstimate(
-        seen_ahead.error, np.nan, modes=estimate_modes(solution, modes, figure), sliding=seen_ahead.sliding
-    )
+    modal = estimate_modes(solution, modes, figure)
+    return ErrorEstimate(seen_ahead.error, np.nan, weight, modal, seen_ahead.sliding)
 
 
 def estimate_modes(solution: PeriodicSolution, modes: Sequence[int], figure: Figure | None = None) -> float:

@@ -1,8 +1,9 @@
-"""Whether a solution depends on how its loads came: what pairs that never slip may carry on average is open.
+"""Mean friction: whether a solution depends on how its loads came, or lacks what would act where it is set to zero.
 
 The laws have a family of steady states where pairs stick throughout. ``static_friction = "resolved"`` takes the one
 with the least mean friction, ``"held"`` the one that a slow loading from rest leads to (``mean_friction.py``). Whether
-the two differ is seen from one Newton step from the one towards the other.
+the two differ is seen from one Newton step from the one towards the other. Of pairs that slip the laws know the mean,
+which ``"zero"`` leaves out.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 # Mean friction over its limit, and what it changes of a pair's mean force over what that can be, from where on the
 # history of the loads is worth a word; and the share of the largest such force that is compared with at least
 CARRIED, CHANGED, FAINT = 0.05, 0.05, 0.1
+MISSED = 0.02  # mean friction that is set to zero, over what oscillates, from where on it is worth a word
 
 
 def tell_history(motion: PeriodicMotion) -> list[str]:
@@ -54,6 +56,26 @@ def tell_history(motion: PeriodicMotion) -> list[str]:
         'depends on how the loads came; this is the state with the least of it, static_friction = "held" the one after '
         "a slow loading from rest"
     ]
+
+
+def tell_missed_mean(motion: PeriodicMotion) -> list[str]:
+    """A line where pairs that slip lack a mean friction that is worth a word."""
+    if not (missed := find_missed_mean(motion)):
+        return []
+    return [
+        f'static_friction = "zero" leaves out a mean of {missed:.0%} of the oscillation, which friction that slips '
+        'would have: what closes the truncation then matters, however many harmonics are kept; "resolved" has that mean'
+    ]
+
+
+def find_missed_mean(motion: PeriodicMotion) -> float:
+    """Mean friction that pairs that slip lack where it is set to zero, over its oscillation; 0 where it is little."""
+    missed, swings, basis = 0.0, 0.0, motion.problem.basis
+    for law, seen in motion.law_fields(basis) if basis.has_mean else ():
+        if isinstance(law, FrictionLaw) and not law.static_row:
+            force = seen["admissible_friction_force"][:, seen["slipping"].any(axis=0)]
+            missed, swings = np.hypot(missed, np.linalg.norm(force.mean(axis=0))), swings + force.var(axis=0).sum()
+    return float(missed / np.sqrt(swings)) if missed > MISSED * np.sqrt(swings) else 0.0
 
 
 def _matters(change: RealArray, force: RealArray) -> bool:

@@ -13,9 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from small_models import friction_oscillator
+from small_models import friction_oscillator, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx.accuracy.estimates import measure_distance
 from ewr_fenicsx.problem.dashpots import match_mobility
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
@@ -113,6 +114,30 @@ def test_mean_friction_set_to_zero_leaves_the_cone(ripple, phase):
     violation = lambda kind, n: balance_harmonics(ripple, phase, kind, n, rho=1.0).merit["cone_violation"]  # noqa: E731
     assert violation("zero", 15) > 0.3 and violation("zero", 47) > 0.87 * violation("zero", 15)
     assert violation("resolved", 15) < 0.12 and violation("resolved", 47) < 0.75 * violation("resolved", 15)
+
+
+@pytest.mark.parametrize("static_friction", ["zero", "resolved"])
+def test_weights_show_whatever_the_harmonics_where_mean_friction_is_set_to_zero(static_friction):
+    """Four times the weight moves the tip by a third, with 15 harmonics as with 63: no accuracy is reached so."""
+    laws = ContactLaws(friction=0.5, static_friction=static_friction)
+    problem = ContactProblem(lift_off_oscillator(excitation=2.0), laws, 0.25, closure="dashpot", rho_tangential=0.5)
+    for highest in (15, 63):
+        posed = replace(problem, harmonics=highest)
+        solution, heavier = solve(posed), solve(replace(posed, rho_tangential=2.0))
+        change = measure_distance(heavier, solution)
+        told = any('static_friction = "zero" leaves out a mean of' in line for line in solution.cautions)
+        assert (change > 0.3 and told) if static_friction == "zero" else (change < 2e-3 and not told)
+    found = solve_to_accuracy(problem, 0.05)
+    assert found.reached == (static_friction == "resolved")
+    assert ("weight" in solution.summary()) == (static_friction == "zero")
+
+
+def test_mean_friction_that_is_zero_anyway_is_not_missed():
+    """By symmetry, or where nothing slips."""
+    stuck = ContactProblem(lift_off_oscillator(excitation=0.01), ContactLaws(static_friction="zero"), 0.1, 3)
+    for closure in ("dashpot", "spring"):
+        assert solve(replace(stuck, closure=closure)).cautions == ()
+    assert not any("leaves out a mean" in line for line in balance_harmonics(0.0, 0.0, "zero", 9).cautions)
 
 
 def test_under_a_constant_load_both_agree():
