@@ -147,9 +147,10 @@ def is_borne_out(motion: PeriodicMotion) -> bool:
 def settles(motion: PeriodicMotion) -> bool:
     """Whether the motion in time that begins on a solution comes to repeat itself, and is the one that it stands for.
 
-    Nothing then leaves it, whatever truncated series say of pairs that lift off. It begins as far from the motion
-    without truncation as the solution is: what grows by two percent a period has grown fivefold in the end. False where
-    it cannot be stepped, and where what it comes to has another solution of as many harmonics: a branch near by.
+    Nothing then leaves it, whatever truncated series say of how pairs lift off or slip. It begins as far from the
+    motion without truncation as the solution is: what grows by two percent a period has grown fivefold in the end.
+    False where it cannot be stepped, and where what it comes to has another solution of as many harmonics: a branch
+    near by.
     """
     try:
         course = watch_course(motion, SETTLING)

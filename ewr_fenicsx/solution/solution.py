@@ -308,8 +308,8 @@ class PeriodicSolution(PeriodicMotion):
 
     @cached_property
     def _settles(self) -> bool:
-        """Whether the motion in time settles beside it; looked at where pairs tap."""
-        return self._taps and settles(self._forgetful)
+        """Whether the motion in time settles beside it."""
+        return settles(self._forgetful)
 
     @cached_property
     def _forgetful(self) -> PeriodicSolution:

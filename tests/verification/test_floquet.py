@@ -234,6 +234,35 @@ def test_what_motions_in_time_do_not_bear_out_is_no_instability(monkeypatch):
     assert replace(found).multiplier == by_the_series
 
 
+def rubbed_frame(seed: int) -> ReducedModel:
+    """Six masses joined at random; each of three pairs rubs at one massless node and presses at another."""
+    random = np.random.default_rng(seed)
+    root, feet = random.normal(size=(2, 6, 6))
+    reach = np.hstack([feet / np.linalg.norm(feet, axis=1, keepdims=True), -np.eye(6)])
+    mass, own = np.diag([0.6] * 6 + [0.0] * 6), np.zeros((12, 12))
+    own[:6, :6] = root @ root.T / 6 + 0.3 * np.eye(6)
+    stiffness = own + 5.0 * reach.T @ reach
+    return ReducedModel(
+        mass,
+        0.004 * stiffness + 0.01 * mass,
+        stiffness,
+        normal=np.eye(12)[6:9],
+        tangential=np.eye(12)[9:],
+        load={0: [0.0] * 6 + [-8.0] * 3 + [0.0] * 3, 1: [*random.normal(size=6), *[0.0] * 6]},
+        outputs={"x": np.eye(12)[0]},
+    )
+
+
+@pytest.mark.parametrize("seed, leaves", [(69, False), (92, False), (5, True)])
+def test_beside_joints_that_only_rub_motions_settle_or_leave_as_stepping_says(seed, leaves):
+    """By five harmonics all have a multiplier of 1.04 and more, by fifteen one; no pair opens."""
+    solution = solve(ContactProblem(rubbed_frame(seed), ContactLaws(friction=0.5), 0.2, 5))
+    assert solution.touches and solution.history("gap").max() < 1e-9
+    steady = integrate(solution.problem, solution, 500, 150, tolerance=0, theta=0.502)
+    assert (steady.changes[-1] > 0.05) == leaves and (steady.changes[-1] < 1e-5) == (not leaves)
+    assert solution.unstable == leaves
+
+
 def test_a_deviation_that_is_cut_off_at_the_highest_harmonics_has_no_exponent(monkeypatch):
     """Steps so coarse that contact chatters bear it out; in 4096 a period the motion comes to repeat itself."""
     case = Case("blade root", 0.85, ("applied", 0.3), 0.2, 15, 1e-4, "even", (1, 1))
