@@ -7,6 +7,7 @@ import numpy as np
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.errors import ModelError, UnheldBody
+from ewr_fenicsx.given import read_numbers
 from ewr_fenicsx.in_time.time_stepping import State
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
@@ -48,11 +49,11 @@ def choose_start(problem: ContactProblem, start: PeriodicSolution | State | str 
         state = State.of(start.problem, start.coordinates)
     else:
         raise ModelError(f"start is of type {type(start).__name__}; {_STARTS}")
-    for name in ("position", "velocity"):
-        value = np.asarray(getattr(state, name), dtype=float)
+    read = {name: read_numbers(f"start: {name}", getattr(state, name)) for name in ("position", "velocity")}
+    for name, value in read.items():
         if value.shape != (problem.model.size,) or not np.isfinite(value).all():
             raise ModelError(f"start: {name} has shape {value.shape}; expected {problem.model.size} finite coordinates")
-    return state
+    return State(**read)
 
 
 def is_held_by_friction(problem: ContactProblem) -> bool:

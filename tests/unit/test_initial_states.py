@@ -35,3 +35,19 @@ def test_what_contact_cannot_hold_is_stepped_from_a_state(friction, pull, gained
     assert way[-1] == pytest.approx(gained * 0.3**2 / 2, rel=1e-6)
     with pytest.raises((UnheldBody, ModelError), match="from a State"):
         integrate(problem)
+
+
+@pytest.mark.parametrize(
+    ("position", "message"),
+    [
+        ([0.0, 1j], r"start: position = .* is complex"),
+        (np.zeros(3), r"start: position has shape \(3,\); expected 2 finite"),
+        ([0.0, np.nan], "expected 2 finite coordinates"),
+        (None, "start: position = None; give numbers"),
+    ],
+)
+def test_what_is_no_state_is_refused(position, message):
+    model = ReducedModel(np.eye(2), np.zeros((2, 2)), np.eye(2), tangential=[[0.0, 1.0]], load={1: [1.0, 0.0]})
+    problem = ContactProblem(model, ContactLaws("prescribed", normal_force=1.0), 0.2)
+    with pytest.raises(ModelError, match=message):
+        integrate(problem, State(position, np.zeros(2)), steps=20, periods=1)
