@@ -52,7 +52,7 @@ class FrequencyResponse(SolutionSeries):
         span = f" from {at[0]:g} to {at[-1]:g} Hz" if at.size else ""
         return f"FrequencyResponse({at.size} solutions{span}, {len(self.jumps)} jumps, {len(self.missing)} missing)"
 
-    @cached_property
+    @property
     def frequencies(self) -> RealArray:
         """``(n,)`` [Hz]."""
         return np.array([s.problem.frequency for s in self.solutions])
@@ -60,15 +60,15 @@ class FrequencyResponse(SolutionSeries):
     @property
     def breaks(self) -> tuple[int, ...]:
         """Solutions after which the curve is broken by a jump, by their number."""
-        found = set()
+        found, frequencies = set(), self.frequencies
         for jump in self.jumps:
             begin, end = jump.frequency
             around = [
                 i
-                for i, (here, there) in enumerate(pairwise(self.frequencies))
+                for i, (here, there) in enumerate(pairwise(frequencies))
                 if i not in found and (begin - here) * (end - begin) >= 0 and (there - end) * (end - begin) >= 0
             ]
-            at = [i for i in around if self.frequencies[i] == begin]  # or that point was only passed, and is not kept
+            at = [i for i in around if frequencies[i] == begin]  # or that point was only passed, and is not kept
             found.update((at or around)[:1])
         return tuple(sorted(found))
 

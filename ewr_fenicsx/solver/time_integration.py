@@ -95,7 +95,7 @@ class SteadyState:
         self._output_row(name)
         if name not in self.transients:
             raise ModelError("an accelerated integration has no transient; integrate with acceleration=False")
-        return self.transients[name]
+        return self.transients[name].copy()
 
     def output(self, name: str) -> ComplexArray:
         """One-sided complex amplitudes ``(n_h,)`` of a named output over the last period.

@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from inspect import signature
 from pathlib import Path
 
@@ -111,12 +110,12 @@ class WearHistory(SolutionSeries):
         pressed, slides = (values.any(axis=0) for values in self.solutions[-1].press_and_slide())
         return bool(np.any(pressed & slides & (self.coefficient > 0)))
 
-    @cached_property
+    @property
     def cycles(self) -> np.ndarray:
         """``(steps,)`` cycles done."""
         return np.array([step.cycle for step in self.steps])
 
-    @cached_property
+    @property
     def depth(self) -> RealArray:
         """``(steps, K_c)`` worn depth, that of a joint worn from the start included [m]."""
         return np.array([step.depth for step in self.steps])

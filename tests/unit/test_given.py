@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import random_structure
+from small_models import lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, frequency_response, integrate
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import keep
 from ewr_fenicsx.solver.weights import adopt_weights
@@ -81,6 +81,21 @@ def test_a_steady_state_can_be_sent_to_another_process(modal):
     position, velocity, carried = sent.scheme.begin(found.end)
     ahead = [s.scheme.run_period(position, velocity, carried, 1e-8, 100) for s in (sent, found)]
     np.testing.assert_array_equal(ahead[0].positions, ahead[1].positions)
+
+
+def test_numbers_of_a_result_in_other_units_leave_it_as_it_was():
+    """A depth in micrometres, in place, made the summary's a million times as deep."""
+    model = replace(lift_off_oscillator(), pair_area=[1.0])
+    problem = ContactProblem(model, ContactLaws(friction=0.3), 0.16, 3)
+    wear = evolve_wear(problem, 2, 1e-6, progress=False)
+    curve = frequency_response(model, problem.laws, [0.1, 0.16], 3, progress=False)
+    steady = integrate(problem, "rest", steps=50, periods=2, tolerance=0)
+    told, table = wear.list_outcome(), curve.table()
+    for numbers in (wear.depth, wear.cycles, curve.frequencies, steady.transient("tip")):
+        numbers *= 1000
+    assert wear.list_outcome() == told and curve.frequencies.tolist() == [0.1, 0.16]
+    np.testing.assert_array_equal(curve.table()["frequency [Hz]"], table["frequency [Hz]"])
+    assert 1000 * steady.transient("tip")[-1] == numbers[-1]
 
 
 def test_loads_and_outputs_of_a_model_cannot_be_written_to():
