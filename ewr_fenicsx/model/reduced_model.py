@@ -274,8 +274,8 @@ class ReducedModel:
             for name in ARRAYS:
                 if (value := getattr(self, name)) is not None:
                     file[name] = value
-            write_rows(file.create_group("load"), self.load)
-            write_rows(file.create_group("outputs"), self.outputs)
+            write_rows(file.create_group("load", track_order=True), self.load)
+            write_rows(file.create_group("outputs", track_order=True), self.outputs)
             if self.cyclic is not None:
                 self.cyclic.write(file.create_group("cyclic"))
 
