@@ -71,7 +71,9 @@ def tell_missed_mean(motion: PeriodicMotion) -> list[str]:
 def find_missed_mean(motion: PeriodicMotion) -> float:
     """Mean friction that pairs that slip lack where it is set to zero, over its oscillation; 0 where it is little."""
     missed, swings, basis = 0.0, 0.0, motion.problem.basis
-    for law, seen in motion.law_fields(basis) if basis.has_mean else ():
+    if not basis.has_mean or all(law.static_row for law in motion.problem.system.laws):
+        return 0.0
+    for law, seen in motion.law_fields(basis):
         if isinstance(law, FrictionLaw) and not law.static_row:
             force = seen["admissible_friction_force"][:, seen["slipping"].any(axis=0)]
             missed, swings = np.hypot(missed, np.linalg.norm(force.mean(axis=0))), swings + force.var(axis=0).sum()
