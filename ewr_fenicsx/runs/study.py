@@ -277,6 +277,8 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
 
     beaten = height[by_height[-1]] < height.max()
     which = "strongest of those that motions in time stay at" if beaten else "strongest"
+    if strongest.problem.frequency in (min(scene.frequencies), max(scene.frequencies)):
+        which += ", at an end of the sweep, beyond which the peak may lie"
     told = "\n".join([*findings.tell_sweep(curve, problem), f"{which}: at {strongest.summary()}"])
     course, facts = (curve.frequencies, height), findings.list_facts_of_sweep(curve, problem)
     return Study(chain, strongest, watch.seconds, course, told, write, facts)

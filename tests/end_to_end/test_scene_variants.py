@@ -196,6 +196,13 @@ def test_a_sweep_writes_its_curve_and_the_fields_at_its_peak(tmp_path, capsys):
     assert float(told.split()[-1].rstrip("%")) == pytest.approx(100 * spent / sum(summary["seconds"].values()), abs=0.1)
 
 
+@pytest.mark.parametrize("highest, beyond", [(6000, False), (2500, True)])
+def test_a_sweep_that_is_strongest_at_its_end_says_that_the_peak_may_lie_beyond(highest, beyond, tmp_path, capsys):
+    run_scene(tmp_path, write_blocks(frequency=f"{{ from = 2000, to = {highest}, points = 5 }}"))
+    told = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("strongest"))
+    assert (f"at an end of the sweep, beyond which the peak may lie: at {highest} Hz" in told) == beyond
+
+
 @pytest.fixture
 def drawn(monkeypatch):
     """Lines of the pictures drawn: style and ``(n,)`` points along the abscissa, but for bare points."""
