@@ -130,7 +130,7 @@ def build(tmp_path_factory):
 
 def pose(model, sectors, frequency=2000.0, harmonics=5, **options):
     """With weights that do not depend on how much of the wheel there is; as many samples as sectors, times some."""
-    options = {"samples": 40 * sectors, "rho_normal": 2e8, "rho_tangential": 4e-5, "closure": "dashpot"} | options
+    options = {"samples": 40 * sectors, "rho_normal": 1e8, "rho_tangential": 4e-5, "closure": "dashpot"} | options
     return ContactProblem(model, ContactLaws(friction=0.15), frequency=frequency, harmonics=harmonics, **options)
 
 

@@ -302,8 +302,9 @@ def test_between_folds_and_at_doublings_it_agrees_with_the_determinants():
     curve = frequency_response(stop_oscillator(), laws, np.linspace(0.15, 0.18, 13), 21, progress=False)
     sides = np.array([solution.side for solution in curve.solutions])
     multipliers = np.array([solution.multiplier for solution in curve.solutions])
-    folds = np.flatnonzero(np.diff(sides)) + 1
-    clear = np.min(np.abs(curve.frequencies[:, None] - curve.frequencies[folds]), axis=1) > 2e-5  # of the folds' noses
+    folds = np.flatnonzero(np.diff(sides))
+    beside = curve.frequencies[np.concatenate([folds, folds + 1])]  # on either side of the noses
+    clear = np.min(np.abs(curve.frequencies[:, None] - beside), axis=1) > 2e-5
     assert len(folds) == 2 and np.count_nonzero(clear & (sides < 0)) >= 5
     np.testing.assert_array_equal(sides[clear] < 0, multipliers[clear].real > 1.0)
     knocking = stop_oscillator(excitation=1.0, damping=0.5, stop_stiffness=5.0)
