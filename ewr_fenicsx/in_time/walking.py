@@ -69,9 +69,9 @@ class Walk(NamedTuple):
 def walks(balance: HarmonicBalance, unknowns: RealArray) -> bool:
     """Whether springs carry a mean force that friction cannot, at a solution ``(size,)`` of the balance."""
     left, largest = _leave_over(balance, unknowns)
-    share = float(np.max(balance.static_displacement_row * balance.system.flexibility, initial=0.0))
     if np.any(balance.rate):
         return bool(left.max() > NOTICED * largest)
+    share = float(np.max(balance.static_displacement_row * balance.system.flexibility, initial=0.0))
     far = left > min(NOTICED, DRAWN_OUT * share) * largest
     return bool(np.any(far) and np.any(far & _springs_hold(balance, unknowns)))
 

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.errors import name_pairs
+from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution, tell_hit
 
@@ -54,8 +55,13 @@ def estimate_rounding(problem: ContactProblem) -> float:
     """Residual that the rounding of forces leaves, by the motion that they cause over the deformation that counts."""
     if problem.model.rigid_modes.shape[1] == 0 or problem.frequency == 0:
         return 0.0
+    return float(_measure_rounding(problem).max())
+
+
+def _measure_rounding(problem: ContactProblem) -> RealArray:
+    """``(n_h,)`` the same at each harmonic, whatever holds the bodies."""
     moved, deformed = problem.system.compliance.flexibility, problem.system.flexibility
-    return float(np.finfo(float).eps * np.abs(moved).max(initial=0.0) / deformed.min(initial=np.inf))
+    return np.finfo(float).eps * np.abs(moved).max(axis=(1, 2), initial=0.0) / deformed.min(initial=np.inf)
 
 
 def list_modes_lost_in_rounding(best: PeriodicSolution) -> list[str]:
@@ -63,15 +69,10 @@ def list_modes_lost_in_rounding(best: PeriodicSolution) -> list[str]:
 
     Behind the springs of a contact node, which take forces of their own, ``list_hit_modes`` does not see it.
     """
-    problem = best.problem
-    if problem.frequency == 0 or problem.system.rows.shape[0] == 0:
+    left = np.where(np.array(best.orders) == 0, 0.0, _measure_rounding(best.problem))  # the mean: ``estimate_rounding``
+    if not (left.max() > COARSE and best.residual < ROUNDING * left.max()):
         return []
-    moved = np.abs(problem.system.compliance.flexibility).max(axis=(1, 2))
-    moved[np.array(best.orders) == 0] = 0.0  # bodies that float: ``estimate_rounding``
-    left = np.finfo(float).eps * moved.max() / problem.system.flexibility.min()
-    if not (left > COARSE and best.residual < ROUNDING * left):
-        return []
-    return [tell_hit(best.orders[int(np.argmax(moved))])]
+    return [tell_hit(best.orders[int(np.argmax(left))])]
 
 
 def find_dependent_pairs(problem: ContactProblem) -> list[int]:
