@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -78,7 +79,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
     problem = replace(use_default_weights(problem), samples=None)
     with count_progress("reference", 1, progress) as tell:
-        find = step_reference if against_time_stepping else solve_reference
+        find = partial(step_reference, progress=progress) if against_time_stepping else solve_reference
         reference, own, name, highest = find(problem, max(loaded))
         tell(1)
     orders = [n for n in ORDERS if n < 0.7 * highest]
@@ -130,14 +131,17 @@ def solve_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, floa
     return measure_figures(solution), estimate_errors(solution).total, f"harmonic balance, N = {highest}", highest
 
 
-def step_reference(problem: ContactProblem, loaded: int) -> tuple[Figures, float, str, int]:
-    """Figures of the steady state of time stepping, their change with the last halving of the step, name, and 31."""
+def step_reference(problem: ContactProblem, loaded: int, progress: bool = False) -> tuple[Figures, float, str, int]:
+    """Figures of the steady state of time stepping, their change with the last halving of the step, name, and 31.
+
+    ``progress``: whether to show the periods stepped so far.
+    """
     from ewr_fenicsx.solver.time_integration import integrate
 
     start, found = solve(replace(problem, harmonics=max(9, 2 * loaded))), []
     for steps in STEPS:
         posed = replace(problem, harmonics=min(SEEN, (steps - 1) // 2))
-        steady = integrate(posed, start, steps, 200, 1e-5, acceleration=True)
+        steady = integrate(posed, start, steps, 200, 1e-5, acceleration=True, progress=progress)
         start = steady.end
         found.append(measure_figures(steady))
     own = compare_figures(found[0], found[1])["output"] / 3  # the scheme is of second order

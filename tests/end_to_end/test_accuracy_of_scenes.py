@@ -288,6 +288,14 @@ def test_what_a_setting_is_said_to_reach_allows_for_the_error_of_the_reference(t
     assert "   1.0%: N = 3: 4.0e-03" in told[0] and "   1.0%: the reference is not good enough" in told[1]
 
 
+def test_a_reference_that_is_stepped_in_time_shows_how_far_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cost_report, "STEPS", (64, 128))
+    monkeypatch.setattr(cost_report, "ORDERS", (1, 3))
+    monkeypatch.setattr(cost_report, "survey", lambda *_, **__: [])
+    cost_report.survey_scene(build_chain(load_scene(write_scene(tmp_path))), against_time_stepping=True, progress=True)
+    assert capsys.readouterr().err.count("time stepping, periods") == 2
+
+
 def test_settings_without_a_solution_are_told_from_the_others(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(cost_report, "ORDERS", (1, 3))
     monkeypatch.setattr(cost_report, "HIGHEST", 7)
