@@ -151,6 +151,15 @@ def test_below_its_limit_it_is_a_spring_for_the_mean_as_well():
     assert solution.output("tip")[1] == pytest.approx(0.05 / (1 + SPRING - omega**2 + 0.1j * omega), rel=1e-8)
 
 
+def test_a_slider_pulled_to_its_limit_by_a_mean_load_shakes_down():
+    """Once it has slid as far as the load takes it, it rests, and what vibrates is elastic, at a resonance as well."""
+    model = friction_oscillator(damping=0.02 * 2**0.5, load={0: 3.0, 1: 0.016j})
+    law = ContactLaws("prescribed", "jenkins", normal_force=0.0, parameters={"spring": 1.0, "limit": 1.0})
+    found = solve(ContactProblem(model, law, 2**0.5 / (2 * np.pi), 7))
+    np.testing.assert_allclose(found.output("tip")[:2], [2.4, 0.4], rtol=1e-3)  # its force swings from 0.2 to 1
+    assert found.merit["friction_dissipation"] < 1e-3 * found.merit["viscous_dissipation"]
+
+
 def test_a_floating_body_may_hang_on_it_up_to_its_limit():
     free = lambda pull: ReducedModel(  # noqa: E731
         mass=[[1.0]], damping=[[0.1]], stiffness=[[0.0]], tangential=[[1.0]],
