@@ -91,8 +91,9 @@ class NotConverged(EwrError):
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name closest to an unknown one, e.g. ``'; did you mean "friction"?'``, or ``''``."""
-    found = get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
-    return f'; did you mean "{found[0]}"?' if found else ""
+    in_small = {str(k).lower(): k for k in known}  # "CLAMP" is meant by "clamp", and not "lap"
+    found = get_close_matches(str(name).lower(), in_small, n=1, cutoff=0.5)
+    return f'; did you mean "{in_small[found[0]]}"?' if found else ""
 
 
 def tell_mistake(file: Path, error: BaseException) -> str:

@@ -145,6 +145,7 @@ def test_rayleigh_damping_matrix(mesh):
     [
         ({"clamp": ("clmp",)}, MeshError, 'no boundary named "clmp".*did you mean "clamp"'),
         ({"loads": [BoundaryForce("f", "tipp", (1.0, 0.0))]}, MeshError, 'did you mean "tip"'),
+        ({"loads": [BoundaryForce("f", "TIP", (1.0, 0.0))]}, MeshError, 'did you mean "tip"'),
         ({"materials": {"blade": TITANIUM, "dsk": TITANIUM}}, MeshError, 'did you mean "disk"'),
         ({"materials": {"blade": TITANIUM}}, SceneError, 'body "disk" has none'),
         ({"thickness": 0.0}, SceneError, "thickness is 0.0 m"),
