@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -55,6 +56,23 @@ class Material(Section):
     young: Number = entry(113.8e9, "Pa", "Young's modulus.", gt=0)
     poisson: Number = entry(0.342, "-", "Poisson's ratio.", gt=-1, lt=0.5)
     density: Number = entry(4430.0, "kg/m^3", "Mass density.", gt=0)
+
+
+def doubt_materials(stated: Mapping[str, Material], bodies: Iterable[str]) -> Iterator[str]:
+    """Where the default was probably not meant, one sentence each: a body beside those with a material, half of one."""
+    for body, material in stated.items():
+        for key, other in (("young", "density"), ("density", "young")):
+            if key not in material.model_fields_set and other in material.model_fields_set:
+                yield (
+                    f"materials.{body}.{key}: missing beside {other} = {getattr(material, other):g}, so that it is "
+                    f"{getattr(material, key):g}, that of Ti-6Al-4V; give it as well"
+                )
+    if stated and (others := [body for body in bodies if body not in stated]):
+        yield (
+            f"materials: {', '.join(stated)} {'has' if len(stated) == 1 else 'have'} one, {', '.join(others)} "
+            f"{'has' if len(others) == 1 else 'have'} none and will be of Ti-6Al-4V, the default; give each body its "
+            "[materials.BODY], which may be empty"
+        )
 
 
 class Elasticity(Section):

@@ -27,7 +27,7 @@ from ewr_fenicsx.scene.scene_sense import (
     doubt_tetrahedra,
     laws_in_force,
 )
-from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad
+from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad, doubt_materials
 from ewr_fenicsx.structure import elasticity, materials
 from ewr_fenicsx.structure._compat import measure_compilation
 from ewr_fenicsx.structure.boundaries import doubt_cracks
@@ -141,6 +141,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 loads=[_load(name, load) for name, load in scene.loads.items()],
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
+        doubts += tuple(doubt_materials(scene.materials, mesh.bodies))
         doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
         doubts += tuple(doubt_pieces(structure))
         with watch.stage("interface"):

@@ -134,6 +134,12 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     assert 'boundary "lid" lies on' in doubt and "a joint is between blade and disk, on joint;" in doubt
 
 
+def test_a_body_without_a_material_beside_one_that_has_one_is_told(tmp_path):
+    (tmp_path / "scene.toml").write_text(write_blocks("[materials.disk]\nyoung = 210e9\ndensity = 7800.0"))
+    (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
+    assert doubt.startswith("materials: disk has one, blade has none and will be of Ti-6Al-4V, the default; give each")
+
+
 def test_a_clamp_that_nobody_wrote_is_told_to_be_the_default(tmp_path):
     """Where the mesh has none; the remedy builds the chain, and a name that somebody wrote is no default."""
     scene = f"""

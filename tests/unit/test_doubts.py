@@ -15,6 +15,7 @@ from ewr_fenicsx.scene.scene_sense import (
     doubt_modes,
     hint_at_lengths,
 )
+from ewr_fenicsx.scene.scene_structure import doubt_materials
 
 
 @pytest.mark.parametrize(
@@ -34,6 +35,16 @@ def test_lengths_in_millimetres_are_doubted_beside_the_mesh(read, text, extent, 
     assert re.match(told, doubt) and doubt.endswith("were mm meant?")
     sound = text.replace("= 5", "= 0.005").replace("-300", "-0.3")
     assert not list(doubt_lengths(read(SCENE + sound), 0.06))
+
+
+def test_materials_that_are_titanium_for_want_of_a_word_are_doubted(read):
+    """Steel with the density of the default, and a bolt that was forgotten; an empty table asks for the default."""
+    stated = read(SCENE + "[materials.disk]\nyoung = 210e9\n[materials.blade]\n").materials
+    half, without = doubt_materials(stated, ("disk", "blade", "bolt"))
+    assert half.startswith("materials.disk.density: missing beside young = 2.1e+11, so that it is 4430")
+    assert without.startswith("materials: disk, blade have one, bolt has none and will be of Ti-6Al-4V")
+    whole = read(SCENE + "[materials.disk]\nyoung = 210e9\ndensity = 7800\n[materials.blade]\n").materials
+    assert not list(doubt_materials(whole, ("disk", "blade"))) and not list(doubt_materials({}, ("disk", "blade")))
 
 
 def test_loads_above_the_modes_kept_are_doubted(read):
