@@ -200,7 +200,7 @@ def tell_wear(history: WearHistory, through: float, modes: int) -> list[str]:
 
 
 def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
-    """What decides whether to trust a history: why it stopped, how its first solution was found, accuracy."""
+    """What decides whether to trust a history: why it stopped, when it lost its stability, accuracy, first solve."""
     reservations = history.solutions[0].list_reservations()
     facts: dict[str, object] = {
         "wear": {
@@ -209,6 +209,7 @@ def list_facts_of_wear(history: WearHistory) -> dict[str, object]:
             "stopped": history.stopped,
             "rough_cycles": history.rough,
             "leaps": [asdict(leap) for leap in history.leaps],
+            "loss_of_stability_after_cycles": history.loss_of_stability,
             "reservations_of_first_solve": reservations,
         }
     }

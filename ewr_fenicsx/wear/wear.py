@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from inspect import signature
 from pathlib import Path
 
@@ -96,6 +97,10 @@ class WearHistory(SolutionSeries):
                 f"  after {at} cycles the motion led nowhere: wear goes on from a solution found otherwise ({ways}), "
                 f"whose outputs differ by {'up to ' if len(self.leaps) > 1 else ''}{100 * most:.3g}%"
             )
+        if self.loss_of_stability:
+            stable, lost = self.loss_of_stability
+            since = "from the first cycle on" if stable is None else f"after {lost} cycles, and not yet after {stable}"
+            lines.append(f"  its motion is unstable {since}: depths from there on are by a motion that does not last")
         lines += [f"  stopped {self.stopped}"] if self.stopped else []
         if not np.any(self.rate[-1]):
             began = self.cycles[np.flatnonzero(~np.any(self.rate, axis=1))[0]]
@@ -109,6 +114,21 @@ class WearHistory(SolutionSeries):
         """Whether in the end pairs that may wear are pressed now, and slide then."""
         pressed, slides = (values.any(axis=0) for values in self.solutions[-1].press_and_slide())
         return bool(np.any(pressed & slides & (self.coefficient > 0)))
+
+    @cached_property
+    def loss_of_stability(self) -> tuple[int | None, int] | None:
+        """Cycles of two steps in turn, the first of a stable and the second of an unstable solution.
+
+        Looked for by halving, where the last solution is unstable; None: it is not. The first is None where the joint
+        is unstable from the start.
+        """
+        solutions, stable, lost = self.solutions, -1, len(self.steps) - 1
+        if not solutions[lost].unstable:
+            return None
+        while lost - stable > 1:
+            middle = (stable + lost) // 2
+            stable, lost = (stable, middle) if solutions[middle].unstable else (middle, lost)
+        return None if stable < 0 else int(self.cycles[stable]), int(self.cycles[lost])
 
     @property
     def cycles(self) -> np.ndarray:

@@ -29,6 +29,7 @@ from ewr_fenicsx.accuracy.estimates import estimate_errors
 from ewr_fenicsx.errors import NotConverged, UnheldBody
 from ewr_fenicsx.output.wear_fields import tabulate_wear_fields
 from ewr_fenicsx.response.following import solve_from
+from ewr_fenicsx.runs.findings import list_facts_of_wear, tell_wear
 from ewr_fenicsx.solution.contact_state import STICK, classify_contact
 from ewr_fenicsx.wear import cycle_jumps
 from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
@@ -296,6 +297,37 @@ def test_wear_goes_on_from_a_worn_joint():
     problem = punch(CROWN)
     worn = ContactProblem(problem.model, problem.laws, 100.0, harmonics=1, wear=first.depth[-1])
     np.testing.assert_allclose(evolve_wear(worn, 8, COEFFICIENT).depth[-1], whole.depth[-1], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "gap, since", [(0, "after 85 cycles, and not yet after 84"), (0.82, "from the first cycle on")]
+)
+def test_wear_says_when_its_motion_lost_its_stability(gap, since):
+    """A mass is pressed on a stop that wears away: ``x'' + 0.05 x' + x + max(0, x - gap) = 1 + 0.6 cos 2.4 t``.
+
+    By Runge-Kutta steps it repeats itself every period up to a gap of 0.80, and every second one from 0.82 on.
+    """
+    model = ReducedModel(
+        mass=np.diag([1.0, 0.0, 0.0]),  # the mass, the end of its stop, and what slides there
+        damping=np.diag([0.05, 0.0, 0.0]),
+        stiffness=[[2.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 10.0]],
+        normal=[[0.0, -1.0, 0.0]],
+        tangential=[[0.0, 0.0, 1.0]],
+        load={0: [1.0, 0.0, 0.0], 1: [0.6, 0.0, 1.0]},
+        pair_area=[1.0],
+    )
+    laws = ContactLaws(tangential="frictionless", initial_gap=gap)
+    history = evolve_wear(ContactProblem(model, laws, 2.4 / (2 * np.pi), 9), 100 if gap == 0 else 2, 0.1)
+    stable, unstable = history.loss_of_stability
+    assert 0.80 < history.gap[unstable, 0] < 0.825 and stable == (unstable - 1 if unstable else None)
+    told = f"  its motion is unstable {since}: depths from there on are by a motion that does not last"
+    assert told in history.summary().splitlines() and told in tell_wear(history, 1.0, 1)
+    assert list_facts_of_wear(history)["wear"]["loss_of_stability_after_cycles"] == (stable, unstable)
+
+
+def test_wear_whose_motion_is_stable_in_the_end_lost_nothing():
+    history = evolve_wear(punch(CROWN), 2, COEFFICIENT)
+    assert history.loss_of_stability is None and "unstable" not in history.summary()
 
 
 @pytest.mark.slow
