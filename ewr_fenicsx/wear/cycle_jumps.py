@@ -32,9 +32,9 @@ REMEDY = "lower the wear coefficient, or let wear pass as a flow: Tolerance(damp
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)  # a bare 0.01 would be read as a hundredth, and mean a depth of 10 mm
 class Tolerance:
-    """Error control of cycle jumps: how far the worn depth may be off at the end.
+    """Error control of cycle jumps: how far the worn depth may be off at the end; its numbers are given by name.
 
     A jump over a fraction f of all cycles may be off by sqrt(f) times this, as estimated by the first-order member of
     the pair. Such errors may add up to more than the tolerance, but the second-order member, which is the one kept, is
@@ -49,6 +49,7 @@ class Tolerance:
 
     Raises:
         ModelError: A tolerance or jump that is not positive.
+        TypeError: A number without its name.
     """
 
     depth: float | None = None

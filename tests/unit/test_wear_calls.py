@@ -269,6 +269,11 @@ def test_what_makes_no_tolerance_is_refused(arguments):
         Tolerance(**arguments)
 
 
+def test_a_tolerance_that_does_not_say_of_what_is_refused():
+    with pytest.raises(TypeError, match="positional"):
+        Tolerance(0.01)  # a share in a scene, but 10 mm here
+
+
 def test_what_an_accuracy_of_wear_cannot_mean():
     with pytest.raises(ModelError, match="between 0 and 1"):
         evolve_wear(pose(), 5, WEAR, accuracy=2.0)
