@@ -285,11 +285,10 @@ class PeriodicMotion:
     @cached_property
     def slip_reach(self) -> RealArray:
         """``(K_c,)`` speed along the rows of friction that forces and loads would cause if none cancelled [m/s]."""
-        system, pairs = self.problem.system, np.arange(self.problem.model.pairs)
+        system, model = self.problem.system, self.problem.model
         bound = np.sum(np.abs(self._rate) * system.compliance.bound_rows(self.forces), axis=0)
-        bound = np.append(bound, 0.0)  # of pairs without a row, which is -1
-        along = [bound[system.row_of(direction, pairs)] for direction in self.problem.model.tangent_directions]
-        return np.max([np.zeros(pairs.size), *along], axis=0)
+        along = [system.spread(bound, direction) for direction in model.tangent_directions]
+        return np.max([np.zeros(model.pairs), *along], axis=0)
 
     def _find_stride(self, samples: int) -> int:
         """Evaluations of the laws a sample: laws that remember need as many a period as the solve had, or more."""
@@ -305,10 +304,8 @@ class PeriodicMotion:
 
         Where a force is sought, the compliance has told; the whole model need not be moved for that.
         """
-        model = self.problem.model
-        rows = self.problem.system.row_of(direction, np.arange(model.pairs))
-        apart, sought = np.zeros((len(self.orders), model.pairs), dtype=complex), rows >= 0
-        apart[:, sought] = self.row_motion[:, rows[sought]]
+        model, system = self.problem.model, self.problem.system
+        apart, sought = system.spread(self.row_motion, direction), system.row_of(direction, np.arange(model.pairs)) >= 0
         if not np.all(sought):
             for j, h in enumerate(self.orders):
                 apart[j, ~sought] = model.rows(direction, model.wave_of(h))[~sought] @ self.coordinates[j]
@@ -334,28 +331,18 @@ class PeriodicMotion:
     @cached_property
     def pair_forces(self) -> Mapping[str, ComplexArray]:
         """Amplitudes ``(n_h, K_c)`` of the forces at all pairs by direction, bonded and prescribed included [N]."""
-        problem, system, model = self.problem, self.problem.system, self.problem.model
-        directions = ("normal", *model.tangent_directions)
-        found = {d: np.zeros((len(self.orders), model.pairs), dtype=complex) for d in directions}
-        held = []
-        for pairs, laws in problem.groups:
-            for direction in directions:
-                rows = system.row_of(direction, pairs)
-                if np.any(acts := rows >= 0):
-                    found[direction][:, pairs[acts]] = self.forces[:, rows[acts]]
-                elif any(direction in kind.holds(model.tangents) for kind in laws.kinds):
-                    held.append((direction, pairs))
+        system = self.problem.system
+        found = {d: system.spread(self.forces, d) for d in ("normal", *self.problem.model.tangent_directions)}
         for h, amplitude in system.prescribed.items():
             if h in self.orders:
                 found["normal"][self.orders.index(h)] += amplitude
-        if held:
-            self._recover_bonds(found, held)
+        if self.problem.bonds:
+            self._recover_bonds(found)
         return found
 
-    def _recover_bonds(self, found: dict[str, ComplexArray], held: list[tuple[str, np.ndarray]]) -> None:
+    def _recover_bonds(self, found: dict[str, ComplexArray]) -> None:
         """Forces in bonded pairs: what the equation of motion leaves over."""
-        model = self.problem.model
-        bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
+        model, bonds = self.problem.model, self.problem.bonds
         elastic, viscous, inertial = (
             model.react(name, self._rate**power * self.coordinates, self.orders)
             for power, name in enumerate(("stiffness", "damping", "mass"))
@@ -366,8 +353,5 @@ class PeriodicMotion:
                 model.rows(d, model.wave_of(h)).conj().T @ found[d][j] for d in known
             )
             left = elastic[j] + viscous[j] + inertial[j] - given
-            force = find_bond_forces(model, bonds, left[:, None])[:, 0]
-            start = 0
-            for direction, pairs in held:
-                found[direction][j, pairs] = force[start : start + pairs.size]
-                start += pairs.size
+            for (direction, pairs), force in zip(bonds, find_bond_forces(model, bonds, left[:, None]), strict=True):
+                found[direction][j, pairs] = force[:, 0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -64,13 +65,17 @@ def solve_stuck(
     return values, stuck @ vectors
 
 
-def find_bond_forces(model: ReducedModel, bonds: RealArray, left: ComplexArray) -> ComplexArray:
-    """Forces ``(b, k)`` in bonds ``(b, n)`` that make up for what the other forces leave over, ``(n, k)`` [N].
+def find_bond_forces(
+    model: ReducedModel, bonds: Sequence[tuple[str, np.ndarray]], left: ComplexArray
+) -> list[ComplexArray]:
+    """Forces that make up for what the others leave over, ``(n, k)`` [N]: ``(K, k)`` for each direction and pairs held.
 
     The least of them where bonds are redundant.
     """
+    rows = np.vstack([model.rows(direction)[pairs] for direction, pairs in bonds])
     units = find_own_units(model.stiffness, model.mass)[:, None]
-    return np.linalg.lstsq(bonds.T / units, left / units, rcond=1e-12)[0]
+    forces = np.linalg.lstsq(rows.T / units, left / units, rcond=1e-12)[0]
+    return np.split(forces, np.cumsum([pairs.size for _, pairs in bonds])[:-1])
 
 
 def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:

@@ -259,11 +259,9 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
     """
     if compliance.rigid_load.size == 0:
         return False
-    K, r = problem.model.pairs, compliance.rigid_load.size
-    motion = np.zeros((1 + max(1, problem.model.tangents), K, r))
-    for seen, direction in zip(motion, DIRECTIONS, strict=False):
-        rows = layout.row_of(direction, np.arange(K))
-        seen[rows >= 0] = compliance.rigid_motion[rows[rows >= 0]]
+    K = problem.model.pairs
+    directions = DIRECTIONS[: 1 + max(1, problem.model.tangents)]
+    motion = np.array([layout.spread(compliance.rigid_motion.T, direction).T for direction in directions])
     smallest, largest, friction, rubs = np.zeros((4, K))
     for pairs, laws in problem.groups:
         normal, tangential = (bound_mean(kind, pairs, K) for kind in laws.kinds)

@@ -241,6 +241,18 @@ class ContactProblem:
         return arrange(self)
 
     @cached_property
+    def bonds(self) -> tuple[tuple[str, np.ndarray], ...]:
+        """Directions in which bonds hold pairs whose forces are not sought, with these pairs."""
+        directions = ("normal", *self.model.tangent_directions)
+        return tuple(
+            (direction, pairs)
+            for pairs, laws in self.groups
+            for direction in directions
+            if any(direction in kind.holds(self.model.tangents) for kind in laws.kinds)
+            and np.all(self.layout.row_of(direction, pairs) < 0)
+        )
+
+    @cached_property
     def system(self) -> ContactSystem:
         """The composed system, built on first use."""
         return compose(self)

@@ -103,6 +103,13 @@ class Layout:
         """Row of each of ``pairs`` in a direction, -1 where no unknown force acts in it."""
         return self.index[direction][pairs] if direction in self.index else np.full(pairs.size, -1)
 
+    def spread(self, of_rows: np.ndarray, direction: str) -> np.ndarray:
+        """Values of rows, ``(..., m)``, at all pairs in a direction, ``(..., K_c)``; zero where a pair has no row."""
+        rows = self.row_of(direction, np.arange(self.model.pairs))
+        at_pairs = np.zeros((*of_rows.shape[:-1], rows.size), of_rows.dtype)
+        at_pairs[..., rows >= 0] = of_rows[..., rows[rows >= 0]]
+        return at_pairs
+
     def rows_of(self, pairs: np.ndarray) -> dict[str, np.ndarray]:
         """Direction -> row of each of ``pairs``, for directions in which an unknown force acts at all of them."""
         return {d: at[pairs] for d, at in self.index.items() if np.all(at[pairs] >= 0)}

@@ -37,14 +37,10 @@ def tell_history(motion: PeriodicMotion) -> list[str]:
         change = held.unpack(step.solve(step.residual))[0][0].real
     except np.linalg.LinAlgError:
         return []
-    every = np.arange(problem.model.pairs)
-
-    def at_pairs(mean: RealArray, direction: str) -> RealArray:
-        return np.append(mean, 0.0)[problem.system.row_of(direction, every)]  # zero without a row, which is -1
-
-    friction = np.hypot.reduce([0.0 * every, *(at_pairs(change, d) for d in problem.model.tangent_directions)])
+    at_pairs, none = problem.system.spread, np.zeros(problem.model.pairs)
+    friction = np.hypot.reduce([none, *(at_pairs(change, d) for d in problem.model.tangent_directions)])
     carried = stuck[friction[stuck] > CARRIED * limit]
-    normal = at_pairs(motion.forces[0].real, "normal") + problem.given_force.get(0, 0.0 * every).real
+    normal = at_pairs(motion.forces[0].real, "normal") + problem.given_force.get(0, none).real
     limits = problem.friction * np.maximum(0.0, normal)
     limits[stuck] = 0.0
     presses, slides = _matters(at_pairs(change, "normal"), normal), _matters(friction * (limits > 0), limits)

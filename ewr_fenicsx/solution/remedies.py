@@ -83,5 +83,5 @@ def find_dependent_pairs(problem: ContactProblem) -> list[int]:
     if not 0 < len(rows) <= LARGEST or not np.all(sizes > 0):
         return []
     dependent = scipy.linalg.null_space((rows / sizes).conj().T)
-    involved = np.append(np.abs(dependent).max(axis=1, initial=0.0) > INVOLVED, False)  # the last for pairs without
-    return np.flatnonzero(np.any([involved[index] for index in system.index.values()], axis=0)).tolist()
+    involved = np.abs(dependent).max(axis=1, initial=0.0) > INVOLVED
+    return np.flatnonzero(np.any([system.spread(involved, d) for d in system.index], axis=0)).tolist()

@@ -178,30 +178,19 @@ class SteadyState:
 
     def _pair_forces(self) -> dict[str, RealArray]:
         """Mean force in each step at all pairs by direction, ``(steps, K_c)``, bonds and given ones included [N]."""
-        problem, scheme = self.problem, self.scheme
-        directions = ("normal", *problem.model.tangent_directions)
-        found = {d: np.zeros((scheme.steps, problem.model.pairs)) for d in directions}
-        held = []
-        for pairs, laws in problem.groups:
-            for direction in directions:
-                law = laws.normal if direction == "normal" else laws.tangential
-                rows = scheme.layout.row_of(direction, pairs)
-                if law == "prescribed":
-                    found["normal"][:, pairs] = scheme.sample(problem.given_force, pairs)
-                elif np.any(acts := rows >= 0):
-                    found[direction][:, pairs[acts]] = self.last.impulses[:, rows[acts]] / scheme.dt
-                elif law == "bonded":
-                    held.append((direction, pairs))
-        if held:
-            self._recover_bonds(found, held)
+        problem, layout, forces = self.problem, self.scheme.layout, self.last.impulses / self.scheme.dt
+        found = {d: layout.spread(forces, d) for d in ("normal", *problem.model.tangent_directions)}
+        found["normal"] += self.scheme.sample(problem.given_force, np.arange(problem.model.pairs))
+        if problem.bonds:
+            self._recover_bonds(found)
         return found
 
-    def _recover_bonds(self, found: dict[str, RealArray], held: list[tuple[str, np.ndarray]]) -> None:
+    def _recover_bonds(self, found: dict[str, RealArray]) -> None:
         """Forces in bonded pairs: what the equation of motion leaves over.
 
         At the middle of steps (``theta``) for all modes, also those that are stepped with a ``theta`` of their own.
         """
-        model, scheme = self.problem.model, self.scheme
+        model, scheme, bonds = self.problem.model, self.scheme, self.problem.bonds
         expand = lambda modal: modal @ scheme.expansion.T  # noqa: E731
         blend = lambda ends: expand((1 - scheme.theta) * ends[:-1] + scheme.theta * ends[1:])  # noqa: E731
         x, v = self.last.positions, self.last.velocities
@@ -212,12 +201,8 @@ class SteadyState:
             left -= found["normal"] @ model.normal
         for direction in model.tangent_directions:
             left -= found[direction] @ model.rows(direction)
-        bonds = np.vstack([model.rows(direction)[pairs] for direction, pairs in held])
-        force = find_bond_forces(model, bonds, left.T).T
-        start = 0
-        for direction, pairs in held:
-            found[direction][:, pairs] = force[:, start : start + pairs.size]
-            start += pairs.size
+        for (direction, pairs), force in zip(bonds, find_bond_forces(model, bonds, left.T), strict=True):
+            found[direction][:, pairs] = force.T
 
     def measure_energy(self) -> dict[str, float]:
         """Works over the last period [J].
