@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from numbers import Real
 from reprlib import repr as shorten
@@ -148,7 +148,7 @@ def solve(
             if attempts[-1].converged or attempts[-1].walks:
                 attempts[-1] = attend_to_faint_forces(balance, attempts[-1], tolerance, linear_solver)
                 break
-            best = min(best or begin_at_full_stick(balance), attempts[-1])
+            best = replace(min(best or begin_at_full_stick(balance), attempts[-1]), iterations=0)
     if attempts and attempts[-1].usual:
         asked, problem = use_default_weights(asked), use_default_weights(problem)
     fell_back = tuple(tried) if len(tried) > 1 or any(a.usual or a.detour for a in attempts) else ()
@@ -180,7 +180,7 @@ def list_rungs(
     """The ways to a solution, the cheapest first: name, and what makes an attempt of the best one so far.
 
     The first way has no attempt before it, and takes no ladder unless ``fallbacks`` may follow. An attempt counts its
-    own Newton steps only.
+    own Newton steps only: it is given one that counts none.
     """
     if balance.linear:
         yield "one linear solve", lambda _: solve_linear(balance, tolerance)
@@ -203,23 +203,23 @@ def list_rungs(
         yield "from where pairs are held in place", lambda _: start_held(problem, balance, tolerance, linear_solver)
     stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it
     if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
-        yield "long splitting", lambda best: split_from_full_stick(balance, tolerance, linear_solver, best)
+        yield "long splitting", partial(split_from_full_stick, balance, tolerance, linear_solver)
     elif problem.frequency:
         yield "time stepping", lambda best: start_from_time_stepping(stepped(), balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
-        yield "load grown over corners", lambda best: grow_load(balance, tolerance, replace(best, iterations=0))
+        yield "load grown over corners", partial(grow_load, balance, tolerance)
     is_few = 0 < balance.basis.orders[-1] <= HIGHEST_FEW and balance.size <= LARGEST_FEW
     if is_few and not problem.model.cyclic:
         more = (balance, tolerance, linear_solver)
         yield "more harmonics, then fewer", lambda best: start_from_more_harmonics(problem, stepped(), *more, best)
     if balance.size <= LARGEST_TRACED:
-        yield "rounded corners", lambda best: sharpen_corners(balance, tolerance, replace(best, iterations=0))
+        yield "rounded corners", partial(sharpen_corners, balance, tolerance)
     if problem.frequency and balance.size <= LARGEST_DAMPED:
-        yield "falling damping", lambda best: trace_damping(balance, tolerance, replace(best, iterations=0))
+        yield "falling damping", partial(trace_damping, balance, tolerance)
     fine = FINE_LEVELS, (sharpen_corners, trace_load), FINE_TOLERANCE
     yield "more sets of harmonics", lambda _: climb(balance, tolerance, linear_solver, *fine)
     if balance.size <= LARGEST_TRACED:
-        yield "growing load", lambda best: trace_load(balance, tolerance, replace(best, iterations=0))
+        yield "growing load", partial(trace_load, balance, tolerance)
 
 
 def start_held(
@@ -267,7 +267,7 @@ def start_from_time_stepping(
     ``balance``: that of the problem that was stepped, or of the same with more harmonics.
     """
     if isinstance(steady, str):
-        return replace(best, iterations=0, reason=steady)
+        return replace(best, reason=steady)
     forces, motion = steady.scheme.contact_amplitudes(steady.last, balance.basis.orders)
     attempt, steps = best, 0
     if split := split_at_length(balance, forces, motion, tolerance, linear_solver):
@@ -310,11 +310,11 @@ def start_from_more_harmonics(
 ) -> Attempt:
     """From where time stepping leads with more harmonics, down to those of the problem."""
     if isinstance(steady, str):
-        return replace(best, iterations=0, reason=steady)
+        return replace(best, reason=steady)
     try:
         above = HarmonicBalance(add_harmonics(problem, MORE_HARMONICS).system)
     except ModelError as refusal:  # as where one of them hits a mode without damping
-        return replace(best, iterations=0, reason=f"with more harmonics: {refusal}")
+        return replace(best, reason=f"with more harmonics: {refusal}")
     found = start_from_time_stepping(steady, above, tolerance, linear_solver, begin_at_full_stick(above))
     if not found.converged:
         reason = f"harmonics up to {above.basis.orders[-1]}: {found.reason}"
@@ -329,7 +329,7 @@ def split_from_full_stick(
     """Newton from where a long splitting leads that begins at full stick; the best attempt where it leads nowhere."""
     forces, rigid = balance.full_stick
     split = split_at_length(balance, forces, balance.compliance.motion(forces, rigid), tolerance, linear_solver)
-    return split or replace(best, iterations=0, reason="no splitting came near a solution")
+    return split or replace(best, reason="no splitting came near a solution")
 
 
 def solve_linear(balance: HarmonicBalance, tolerance: float) -> Attempt:
