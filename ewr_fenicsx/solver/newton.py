@@ -75,7 +75,7 @@ def solve(
     fallbacks: bool | int = True,
     raise_on_failure: bool = True,
 ) -> PeriodicSolution:
-    """Periodic solution of a contact problem.
+    """Periodic solution of a contact problem with the harmonics that it gives.
 
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
@@ -94,15 +94,9 @@ def solve(
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
     Args:
-        problem: The problem.
-        start: A solution on the same model to start from (another frequency, friction or set of harmonics), or None.
-        tolerance: Largest residual norm accepted, relative to the norm of the full-stick contact forces, or of what
-            they are where gaps stay open and nothing resonates, times three, if that is less; from 1e-13 to 1e-3.
-        linear_solver: ``"elimination"`` solves for the rows that change status; ``"dense"`` forms the whole Jacobian
-            and leaves it to PETSc's KSP. Both take the same steps.
+        problem, start, tolerance, linear_solver, raise_on_failure: As users call it, in ``solving.py``.
         fallbacks: Whether to go on to the next rung where the first one fails (the given start, cold the first climb),
             or to how many more.
-        raise_on_failure: Whether to raise where no solution is found, or return the best iterate.
 
     Returns:
         The solution: motions, contact forces and figures of merit, and how it was found. Its ``problem`` has the
