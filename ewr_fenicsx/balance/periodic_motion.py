@@ -171,7 +171,7 @@ class PeriodicMotion:
             ModelError: No whole number of samples.
         """
         stride, basis, reported = self._look_at_laws(samples)
-        slips = self._find_slipping(basis, reported)
+        slips = self.find_slipping(basis, reported)
         speed = self._slide(basis, reported, slips, self._press(basis, reported))
         return np.where(slips, np.maximum(0.0, speed), 0.0)[::stride]
 
@@ -195,7 +195,7 @@ class PeriodicMotion:
         ends of springs, and masses, are followed from sample to sample: theirs are means over the step before.
         """
         stride, basis, reported = self._look_at_laws(samples)
-        slips, force = self._find_slipping(basis, reported), self._press(basis, reported)
+        slips, force = self.find_slipping(basis, reported), self._press(basis, reported)
         speed = self._slide(basis, reported, slips, force)
         for law, fields in reported:
             if "surface_slip" in fields:  # the force at its end would press half a step late
@@ -272,7 +272,7 @@ class PeriodicMotion:
                 found.append((law, fields[name], fields[name] - basis.synthesise(kept)))
         return found
 
-    def _find_slipping(self, basis: FourierBasis, reported: list[tuple]) -> np.ndarray:
+    def find_slipping(self, basis: FourierBasis, reported: list[tuple]) -> np.ndarray:
         """Where nothing holds the pairs, ``(n_t, K_c)`` bool."""
         slips = np.zeros((basis.samples, self.problem.model.pairs), dtype=bool)
         for pairs, laws in self.problem.groups:

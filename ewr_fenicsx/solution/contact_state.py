@@ -64,13 +64,10 @@ def classify_contact(solution: PeriodicSolution, samples: int) -> np.ndarray:
     The decisions are those of the laws themselves at the samples. Where no law decides, pairs stick when bonded and
     slip when frictionless.
     """
-    state = np.full((samples, solution.problem.model.pairs), STICK)
-    for pairs, laws in solution.problem.groups:
-        if any(kind.slides for kind in laws.kinds):
-            state[:, pairs] = SLIP
-    decided = solution.law_fields(FourierBasis(solution.orders, samples))
-    for name, code in (("slipping", SLIP), ("open", OPEN)):  # a pair that is open does nothing else
-        for law, fields in decided:
-            if name in fields:
-                state[:, law.pairs] = np.where(fields[name], code, state[:, law.pairs])
+    basis = FourierBasis(solution.orders, samples)
+    decided = solution.law_fields(basis)
+    state = np.where(solution.find_slipping(basis, decided), SLIP, STICK)
+    for law, fields in decided:
+        if "open" in fields:  # a pair that is open does nothing else
+            state[:, law.pairs] = np.where(fields["open"], OPEN, state[:, law.pairs])
     return state
