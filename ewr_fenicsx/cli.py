@@ -177,14 +177,14 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     from ewr_fenicsx.output.result_folder import read_times
     from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.scene.effects import list_effects
-    from ewr_fenicsx.structure.chain import build_chain, pose_problem
+    from ewr_fenicsx.structure.chain import build_chain
 
     check_options()
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
     with name_place(scene, chain.interface):
-        problem = pose_problem(scene, chain.reduction.model, chain.interface)
+        problem = chain.pose()
         counts = count(chain, problem)  # the mesh counts are collective
         seconds = read_times(folder, scene.model_dump(mode="json", by_alias=True))
         effects = list(list_effects(scene, problem, seconds, chain.interface.flanks))

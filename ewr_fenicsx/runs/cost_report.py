@@ -21,7 +21,7 @@ from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.runs.study import STABILITY
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.solver.weights import use_default_weights
-from ewr_fenicsx.structure.chain import Chain, Stopwatch, pose_problem
+from ewr_fenicsx.structure.chain import Chain, Stopwatch
 
 ORDERS = (1, 2, 3, 5, 7, 9, 12, 15, 19, 23)
 HIGHEST, MOST_UNKNOWNS = 31, 3000  # of the reference
@@ -73,7 +73,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
     ring = chain.reduction.model.cyclic
     if against_time_stepping and ring:
         raise SceneError(f"{chain.scene.where}: a sector of a ring is not stepped in time; leave out --time-stepping")
-    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    problem = chain.pose()
     loaded = [h for h in problem.driven if h]
     if not loaded or not problem.frequency:
         raise SceneError(f"{chain.scene.where}: no load oscillates: one static solve, exact with any setting")
@@ -112,7 +112,7 @@ def survey_scene(chain: Chain, against_time_stepping: bool = False, progress: bo
 
 def time_run(chain: Chain) -> dict[str, float]:
     """Seconds of a run by stage: the chain as it was built, one solve, and writing results, which are thrown away."""
-    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    problem = chain.pose()
     solution = solve(problem, tolerance=chain.scene.solver.tolerance)
     newton, watch = {f"solve: {stage}": seconds for stage, seconds in solution.stages.items()}, Stopwatch()
     with watch.stage(STABILITY):

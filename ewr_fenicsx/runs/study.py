@@ -23,7 +23,7 @@ from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import leave_out_idle
 from ewr_fenicsx.solver.newton import solve
-from ewr_fenicsx.structure.chain import Chain, Progress, Stopwatch, lay_laws, pose_problem, spread_wear
+from ewr_fenicsx.structure.chain import Chain, Progress, Stopwatch, spread_wear
 from ewr_fenicsx.structure.reduction import keep_more_modes
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def run_study(chain: Chain, progress: Progress | None = None, work: Path | None 
             ``check_own_histories``.
         KeyboardInterrupt: Before there was a solution; or later, where ``work`` keeps it.
     """
-    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    problem = chain.pose()
     check_own_fields(problem, wears=chain.scene.wear is not None)
     if problem.own_kinds:
         check_own_histories(problem)
@@ -141,7 +141,7 @@ def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) ->
         return _sweep(chain, watch, work)
     if scene.wear:
         return _wear(chain, watch, work, through)
-    problem = pose_problem(scene, chain.reduction.model, chain.interface)
+    problem = chain.pose()
     if scene.solver.accuracy is not None and problem.frequency:
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
@@ -204,7 +204,7 @@ class _Modes:
                 made[count] = replace(self.chains[-1], reduction=keep_more_modes(self.chains[-1].reduction, count))
             self.chains.append(made[count])
         self.chain = chain = made[count]
-        return pose_problem(chain.scene, chain.reduction.model, chain.interface), self.coordinates
+        return chain.pose(), self.coordinates
 
     @property
     def choice(self) -> dict[str, object]:
@@ -230,18 +230,16 @@ def _sweep(chain: Chain, watch: Stopwatch, work: Path | None) -> Study:
     from ewr_fenicsx.response.sweep_store import FILES
 
     chain = _take_up(chain, work, FILES)
-    scene, model, comm = chain.scene, chain.reduction.model, chain.mesh.domain.comm
-    problem = pose_problem(scene, model, chain.interface)
-    settings = {
-        key: getattr(scene.solver, key) for key in ("samples", "rho_normal", "rho_tangential", "closure", "tolerance")
-    }
+    scene, comm, problem = chain.scene, chain.mesh.domain.comm, chain.pose()
+    settings = {key: getattr(problem, key) for key in ("samples", "rho_normal", "rho_tangential", "closure")}
     with watch.stage("sweep"), refuse_other_work(work):
         curve = frequency_response(
-            model,
-            lay_laws(scene, chain.interface),
+            problem.model,
+            problem.laws,
             scene.frequencies,
             list(leave_out_idle(problem).basis.orders),  # no columns of zeros
             watch.progress is not None,
+            tolerance=scene.solver.tolerance,
             work=work,
             comm=comm,
             **settings,
@@ -297,7 +295,7 @@ def _refine(
 
     curve = thin_out(curve, chain.scene.frequencies)
     asked, modes = chain.scene.solver, _Modes(chain, watch)
-    problem = pose_problem(chain.scene, chain.reduction.model, chain.interface)
+    problem = chain.pose()
     shown = watch.progress is not None
     while True:
         curve = refine_response(
@@ -329,7 +327,7 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> 
     file = None if work is None else work / WEAR_FILE.format(chain.mesh.domain.comm.rank)  # every rank does all of it
     with watch.stage("wear"), refuse_other_work(work):
         history = evolve_wear(
-            pose_problem(scene, chain.reduction.model, interface),
+            chain.pose(),
             asked.cycles,
             spread_wear(scene, interface),
             None if share is None else Tolerance(share=share),

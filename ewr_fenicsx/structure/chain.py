@@ -104,6 +104,10 @@ class Chain:
         """The pairs."""
         return self.reduction.interface
 
+    def pose(self) -> ContactProblem:
+        """The contact problem that its scene poses, anew."""
+        return pose_problem(self.scene, self.reduction.model, self.interface)
+
 
 def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progress | None = None) -> Chain:
     """Builds mesh, matrices, interface and reduced model of a scene.
