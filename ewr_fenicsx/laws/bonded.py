@@ -81,6 +81,3 @@ class Bond(Law):
         displacement = motion.displacement["normal"]
         stiffness = np.broadcast_to(self.rho, displacement.shape)
         return Response(stiffness * displacement, (Partial("displacement", "normal", stiffness),))
-
-    def fields(self, motion: Motion) -> dict[str, RealArray]:
-        return {"gap": motion.displacement["normal"]}

@@ -73,8 +73,12 @@ class Signorini(Law):
         closed = pressed < force
         return Response(np.where(closed, pressed, force), self.differentiate((closed,)))
 
+    def try_closed(self, motion: Motion) -> RealArray:
+        """Force ``lam_N - rho g``, ``(n_t, K)``, under which the pair is closed where it presses [N]."""
+        return motion.force["normal"] - self.rho * (motion.displacement["normal"] + self.initial_gap)
+
     def find_corners(self, motion: Motion) -> tuple[RealArray]:
-        return (motion.force["normal"] - self.rho * (motion.displacement["normal"] + self.initial_gap),)
+        return (self.try_closed(motion),)
 
     def differentiate(self, sides: Sequence[np.ndarray]) -> tuple[Partial, ...]:
         (closed,) = sides
@@ -84,9 +88,8 @@ class Signorini(Law):
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        gap = motion.displacement["normal"] + self.initial_gap
-        pressing = np.maximum(0.0, motion.force["normal"] - self.rho * gap)
-        return {"gap": gap, "admissible_normal_force": pressing, "open": pressing <= 0}
+        pressing = np.maximum(0.0, self.try_closed(motion))
+        return {"admissible_normal_force": pressing, "open": pressing <= 0}
 
     def rounded(self, width: float) -> Law:
         return RoundedSignorini(self, width)
@@ -97,8 +100,7 @@ class RoundedSignorini(Rounded):
 
     def evaluate(self, motion: Motion) -> Response:
         law, force = self.exact, motion.force["normal"]
-        pressing = force - law.rho * (motion.displacement["normal"] + law.initial_gap)
-        value, slope = round_positive_part(pressing, self.width)
+        value, slope = round_positive_part(law.try_closed(motion), self.width)
         return Response(
             force - value,
             (Partial("force", "normal", 1 - slope), Partial("displacement", "normal", law.rho * slope)),
