@@ -82,7 +82,7 @@ def start_cold(
     if balance.measure_residual(free) <= tolerance:
         return run_newton(balance, free, tolerance, linear_solver)
     split = start_from_splitting(balance, tolerance, linear_solver)
-    if split.converged or split.walks:
+    if split.decides:
         return split
     climbed = climb(balance, tolerance, linear_solver, levels, coarse_tolerance=coarse_tolerance, limit=limit)
     better = climbed if climbed.converged else min(climbed, split)
@@ -174,7 +174,7 @@ def come_down(
     motion = above.compliance.motion(forces, rigid)
     few, many = len(balance.basis.orders), len(above.basis.orders)
     at_once = split_at_length(balance, forces[:few], motion[:few], tolerance, linear_solver)
-    if at_once is not None and (at_once.converged or at_once.walks):
+    if at_once is not None and at_once.decides:
         return at_once
     steps = at_once.iterations if at_once else 0
     for kept in range(many - 1, few - 1, -1):

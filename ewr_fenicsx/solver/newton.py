@@ -139,7 +139,7 @@ def solve(
                 LOG.info("%g Hz: %s; next: %s", problem.frequency, tried[-1], name)
             attempts.append(rung(best))
             tried.append(f"{name}: {attempts[-1].told}")
-            if attempts[-1].converged or attempts[-1].walks:
+            if attempts[-1].decides:
                 attempts[-1] = attend_to_faint_forces(balance, attempts[-1], tolerance, linear_solver)
                 break
             best = replace(min(best or begin_at_full_stick(balance), attempts[-1]), iterations=0)
@@ -281,7 +281,7 @@ def start_from_time_stepping(
         attempt = min(attempt, found)
         if found.residual < GROSS:
             break
-    if not (attempt.converged or attempt.walks):
+    if not attempt.decides:
         stalled = [attempt.unknowns] if attempt is not best else []
         begins = [*stalled, *(starts[i] for i in np.argsort(left))]
         paths = (follow_from_afar(balance, begin, tolerance) for begin in begins)

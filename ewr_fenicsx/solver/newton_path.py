@@ -63,7 +63,7 @@ def run_and_follow(
     ``most``: corners of that path at most; None: as many as are worth the time.
     """
     run = run_newton(balance, start, tolerance, linear_solver, limit, near=near)
-    if run.converged or run.walks or not run.residual < CLOSE:
+    if run.decides or not run.residual < CLOSE:
         return run
     path = follow_path(balance, run.unknowns, tolerance, most or limit_corners(balance))
     if path is None:
@@ -101,7 +101,7 @@ def follow_path(
         why = SINGULAR
     last = LAST_STEPS if why == ARRIVED else 0
     found = run_newton(balance, path.unknowns, tolerance, "elimination", last, near=True)  # looks whether it walks
-    reason = found.reason if found.converged or found.walks else why
+    reason = found.reason if found.decides else why
     return replace(found, iterations=path.factored + found.iterations, reason=reason)
 
 

@@ -53,7 +53,7 @@ FAR_FROM, FAR_ITERATIONS = 5e-3, 60
 class Attempt:
     """One run from one start: scaled unknowns, residual norm, Newton steps, and why it stopped.
 
-    ``walks``: what it found is no periodic motion, and no other way to one is worth trying (``walking.py``).
+    ``walks``: what it found is no periodic motion, and there is none (``walking.py``).
     ``usual``: what it found holds with default weights and dashpots, in place of what the problem asks for.
     ``detour``: rungs that a solve with these tried on the way to it; none where its first one did.
     """
@@ -66,6 +66,11 @@ class Attempt:
     walks: bool = False
     usual: bool = False
     detour: tuple[str, ...] = ()
+
+    @property
+    def decides(self) -> bool:
+        """Whether no other way is worth trying: it found a solution, or that a body walks."""
+        return self.converged or self.walks
 
     @property
     def told(self) -> str:
@@ -105,7 +110,7 @@ def run_newton(
         attempts = []
         if np.any(balance.held) and norm < HELD_NEAR * balance.firm.measure_residual(start):
             attempts.append(newton.run(balance, start, tolerance, near))
-            if attempts[0].converged or attempts[0].walks:
+            if attempts[0].decides:
                 return attempts[0]
         begun = bool(attempts)
         firm = newton.run(balance.firm, start, max(tolerance, TAKE_OVER), near)

@@ -79,7 +79,7 @@ def pick_first(attempts: Iterable[Attempt]) -> Attempt | None:
     made = []
     for attempt in attempts:
         made.append(attempt)
-        if attempt.converged or attempt.walks:
+        if attempt.decides:
             break
     return replace(min(made), iterations=sum(attempt.iterations for attempt in made)) if made else None
 

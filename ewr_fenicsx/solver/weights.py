@@ -126,7 +126,7 @@ def _go_straight(balance: HarmonicBalance, begin: RealArray, tolerance: float, l
     while True:
         last = run_and_follow(balance, begin, tolerance, linear_solver, DIRECT_STEPS, near=True, most=SHORT)
         steps += last.iterations
-        if last.converged or last.walks or not last.residual < DIRECT_SHARE * left:
+        if last.decides or not last.residual < DIRECT_SHARE * left:
             return replace(last, iterations=steps)
         begin, left = last.unknowns, last.residual
 
