@@ -129,11 +129,9 @@ def run_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     from ewr_fenicsx.output.output import list_files, write_results
     from ewr_fenicsx.output.result_folder import hold_target
     from ewr_fenicsx.output.work_folder import holds_work, keep_work, name_work_folder
-    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.runs.study import can_resume, run_study
     from ewr_fenicsx.structure.chain import Stopwatch, build_chain
 
-    check_options()
     work, overwrite = name_work_folder(folder) if can_resume(scene) else None, arguments.overwrite
     with hold_target(folder, overwrite=overwrite, comm=comm), keep_work(work, comm), show_progress(comm) as progress:
         if work and holds_work(work, comm) and comm.rank == 0:
@@ -175,11 +173,9 @@ def describe_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     """``ewr info``: counts and effects, without solving."""
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.output.result_folder import read_times
-    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.scene.effects import list_effects
     from ewr_fenicsx.structure.chain import build_chain
 
-    check_options()
     with show_progress(comm) as progress:
         chain = build_chain(scene, comm, progress)
         tell_doubts(scene, chain.doubts, comm)
@@ -210,10 +206,8 @@ def tell_costs(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
     scene, folder = read_scene(arguments, comm)
     from ewr_fenicsx.output.result_folder import hold_target
     from ewr_fenicsx.runs.cost_report import PICTURE, TABLE, survey_scene
-    from ewr_fenicsx.runs.petsc_options import check_options
     from ewr_fenicsx.structure.chain import build_chain
 
-    check_options()
     folder = arguments.out or folder.with_name(f"{folder.name}_cost")
     with hold_target(folder, overwrite=arguments.overwrite, comm=comm, own=(TABLE, PICTURE)):
         with show_progress(comm) as progress:
@@ -248,9 +242,12 @@ def print_costs(report: CostReport) -> None:
 
 
 def read_scene(arguments: argparse.Namespace, comm: MPI.Comm) -> tuple[Scene, Path]:
-    """The scene, its doubts told on standard error, and the folder of its results."""
+    """The scene, its doubts told on standard error, and the folder of its results; then PETSc's options are checked."""
     scene = load_scene(arguments.scene, warn=False)
     tell_doubts(scene, scene.doubts, comm)
+    from ewr_fenicsx.runs.petsc_options import check_options
+
+    check_options()
     return scene, arguments.out or arguments.scene.parent / "results" / arguments.scene.stem
 
 
