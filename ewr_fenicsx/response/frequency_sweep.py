@@ -23,14 +23,14 @@ from ewr_fenicsx.given import is_positive, read_numbers
 from ewr_fenicsx.laws.contact_laws import JointLaws
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.problem.contact_problem import ContactProblem
-from ewr_fenicsx.progress import Report, count_progress
+from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.response.following import Curve, Follower, Stand, agree
 from ewr_fenicsx.response.refining import join_points, leave_out_close, refine_points
 from ewr_fenicsx.response.response_curve import RESULTS, FrequencyResponse, write_curves
 from ewr_fenicsx.response.solution_store import fingerprint, restore, strip
 from ewr_fenicsx.response.sweep_store import FORMAT, Block, BlockState, BlockStore, keep
 from ewr_fenicsx.solution.solution import PeriodicSolution
-from ewr_fenicsx.solution.symmetry import find_idle_harmonics, include_idle, leave_out_idle
+from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.solver.weights import adopt_weights, went_back
 from ewr_fenicsx.task_sharing import do_on_rank_zero, do_together, share_steps
@@ -110,27 +110,51 @@ def frequency_response(
     read_modes(modes, common.model.size)  # the points are solved again when the curve is there: too late for mistakes
 
     asked = {label: replace(common, laws=own) for label, own in family.items()}  # what makes no sense is told here
-
-    def make_follower(problem: ContactProblem, report: Report) -> Follower:
-        posed = leave_out_idle(problem)
-        problem_at = lambda f: replace(posed, frequency=float(f))  # noqa: E731
-        tell = lambda note: report(note=note)  # noqa: E731
-        return Follower(problem_at, targets[0], targets[-1], refine, tolerance, tell)
-
-    cuts = [*range(0, max(1, len(targets) - 1), BLOCK)]
-    pieces = [targets[i : i + BLOCK + 1] for i in cuts]
-    blocks = [Block(k, n, piece) for k in range(len(asked)) for n, piece in enumerate(pieces)]
-    store = None
-    work = folder if work is None else work
+    posed = [leave_out_idle(problem) for problem in asked.values()]
+    store, work = None, folder if work is None else work
     if work is not None:
         ordered = [*family.items()]  # by their order blocks are numbered
         store = BlockStore(Path(work), fingerprint(FORMAT, common, ordered, targets, refine, tolerance))
-        places = [*([] if folder is None else [Path(folder) / RESULTS]), store.find_path(blocks[0])]
+        places = [*([] if folder is None else [Path(folder) / RESULTS]), store.find_path(Block(0, 0, targets))]
         do_together(lambda: [check_place(place) for place in places], comm)
+    curves = {}
+    joined = _follow_curves(posed, targets, refine, tolerance, store, comm, progress)
+    for curve, small, (label, problem) in zip(joined, posed, asked.items(), strict=True):
+        missing = find_missing(targets, curve.points)
+        whole = [adopt_weights(replace(problem, frequency=s.problem.frequency), s.problem) for s in curve.points]
+        points = tuple(map(include_idle, curve.points, whole))
+        curves[label] = FrequencyResponse(points, tuple(curve.jumps), missing, progress=progress)
+        if accuracy is not None:
+            begun = curves[label] if refine else thin_out(curves[label], targets)
+            shared = {"comm": comm, "progress": progress, "folder": work}
+            curves[label] = refine_response(begun, small, targets, accuracy, tolerance, modes=modes, **shared)
+    if folder is not None:
+        for curve in curves.values():  # most of the time of a sweep: not to be left to rank 0, which writes
+            curve.look_at_stability(comm, progress, Path(work))
+        do_on_rank_zero(lambda: write_curves(Path(folder), curves), comm)
+    return curves if isinstance(laws, Mapping) else curves[None]
 
-    total = len(asked) * len(targets)
+
+def _follow_curves(
+    problems: Sequence[ContactProblem],
+    targets: tuple[float, ...],
+    refine: float | None,
+    tolerance: float,
+    store: BlockStore | None,
+    comm: MPI.Comm,
+    progress: bool,
+) -> list[Curve]:
+    """The curve of each problem, whose blocks all ranks share; collective."""
+    pieces = [targets[i : i + BLOCK + 1] for i in range(0, max(1, len(targets) - 1), BLOCK)]
+    blocks = [Block(k, n, piece) for k in range(len(problems)) for n, piece in enumerate(pieces)]
+    total = len(problems) * len(targets)
     with count_progress("frequency response", total, progress and comm.rank == 0) as report:
-        followers = [make_follower(problem, report) for problem in asked.values()]
+
+        def make_follower(problem: ContactProblem) -> Follower:
+            problem_at = lambda f: replace(problem, frequency=float(f))  # noqa: E731
+            return Follower(problem_at, targets[0], targets[-1], refine, tolerance, lambda note: report(note=note))
+
+        followers = [make_follower(problem) for problem in problems]
         solved = _solve_blocks(followers, blocks, store, comm, lambda done: report(min(done, total - 1)))
         report(note="joining blocks")  # which may take long: the last frequency is counted when it is done
         joined = []
@@ -138,23 +162,7 @@ def frequency_response(
             own = [state for block, state in zip(blocks, solved, strict=True) if block.curve == k]
             joined.append(_join([_rebuild(follower.problem_at, state) for state in own], pieces, follower))
         report(total)
-    curves = {}
-    for curve, follower, (label, problem) in zip(joined, followers, asked.items(), strict=True):
-        missing = find_missing(targets, curve.points)
-        points = curve.points
-        if find_idle_harmonics(problem).orders:
-            whole = [adopt_weights(replace(problem, frequency=s.problem.frequency), s.problem) for s in points]
-            points = [include_idle(s, posed) for s, posed in zip(points, whole, strict=True)]
-        curves[label] = FrequencyResponse(tuple(points), tuple(curve.jumps), missing, progress=progress)
-        if accuracy is not None:
-            begun = curves[label] if refine else thin_out(curves[label], targets)
-            posed, shared = follower.problem_at(targets[0]), {"comm": comm, "progress": progress, "folder": work}
-            curves[label] = refine_response(begun, posed, targets, accuracy, tolerance, modes=modes, **shared)
-    if folder is not None:
-        for curve in curves.values():  # most of the time of a sweep: not to be left to rank 0, which writes
-            curve.look_at_stability(comm, progress, Path(work))
-        do_on_rank_zero(lambda: write_curves(Path(folder), curves), comm)
-    return curves if isinstance(laws, Mapping) else curves[None]
+    return joined
 
 
 def find_missing(frequencies: Sequence[float], solutions: Sequence[PeriodicSolution]) -> tuple[float, ...]:
