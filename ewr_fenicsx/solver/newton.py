@@ -373,19 +373,19 @@ def wrap(
     seconds: float,
 ) -> PeriodicSolution:
     """The best attempt as a solution; a problem without a balance is linear and needed none."""
-    best = min(attempts, default=None)
+    best = min(attempts, default=Attempt(np.zeros(0), 0.0, 0, "linear", True))
     forces, rigid = np.zeros((len(problem.basis.orders), 0), dtype=complex), np.zeros(0)
-    if best is not None:
+    if balance is not None:
         forces, rigid = balance.unpack(best.unknowns)
     return PeriodicSolution(
         problem=problem,
         forces=forces,
         rigid=rigid,
-        converged=best is None or best.converged,
-        reason="linear" if best is None else best.reason,
+        converged=best.converged,
+        reason=best.reason,
         iterations=sum(a.iterations for a in attempts),
         fallbacks=fallbacks,
-        residual=0.0 if best is None else best.residual,
+        residual=best.residual,
         seconds=seconds,
-        unknowns=0 if best is None else balance.size,
+        unknowns=best.unknowns.size,
     )
