@@ -99,7 +99,7 @@ class Elimination:
 
     balance: Equations
     derivatives: Sequence[Derivative]
-    shift: RealArray | None  # (n_h, m)
+    shift: RealArray  # (n_h, m)
     steady: np.ndarray  # (c,)
     mixed: np.ndarray  # (M,)
     reaction: ComplexArray  # (n_h, c, M)
@@ -113,7 +113,7 @@ class Elimination:
         derivatives: Sequence[Derivative],
         steady: np.ndarray,
         load: RealArray,
-        shift: RealArray | None,
+        shift: RealArray,
     ) -> Elimination:
         """Eliminate the rows ``steady`` of J plus a diagonal ``shift``, ``(n_h, m)``, for a right side ``(n_c, m)``."""
         basis = balance.basis
@@ -181,7 +181,7 @@ class Elimination:
 
 
 def invert_steady(
-    balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, shift: RealArray | None
+    balance: Equations, derivatives: Sequence[Derivative], steady: np.ndarray, shift: RealArray
 ) -> ComplexArray:
     """``(n_h, c, c)`` inverse of J at each harmonic, for steady rows ``(c,)`` by themselves; ``shift`` is ``(n_h, m)``.
 
@@ -200,7 +200,7 @@ def _cut_harmonics(balance: Equations, c: np.ndarray) -> Iterator[slice]:
 
 
 def _gather(
-    balance: Equations, derivatives: Sequence[Derivative], c: np.ndarray, shift: RealArray | None, batch: slice
+    balance: Equations, derivatives: Sequence[Derivative], c: np.ndarray, shift: RealArray, batch: slice
 ) -> tuple[ComplexArray, ComplexArray]:
     """Steady rows of J at a batch of harmonics, ``(b, c, m)``, and of the rigid coordinates, ``(b, c, r)``."""
     H, rate = balance.compliance.flexibility[batch], balance.rate[batch]
@@ -238,6 +238,5 @@ def _gather(
     A[mean] = weight[:, None] * A[mean] + springs[:, None] * H[mean][:, c]
     A[mean[:, None], diagonal, c] += balance.static_force_row[c] + springs * REDUNDANCY * flexibility[c]
     toward_rigid[mean] = weight[:, None] * toward_rigid[mean] + springs[:, None] * G[c]
-    if shift is not None:
-        A[:, diagonal, c] += shift[batch][:, c]
+    A[:, diagonal, c] += shift[batch][:, c]
     return A, toward_rigid

@@ -96,9 +96,7 @@ class _Uncoupled:
         # what springs remember is left out: it is held from single instants, and means nothing to a high harmonic
         here = (d for d in step.derivatives if d.since is None)
         mean = [replace(d, values=d.values.mean(axis=0, keepdims=True), kept=None) for d in here]
-        added = step.spread(shift)
-        added = None if added is None else added[COUPLED:]
-        self.inverse = invert_steady(self.high, mean, np.arange(balance.rows), added)
+        self.inverse = invert_steady(self.high, mean, np.arange(balance.rows), step.spread(shift)[COUPLED:])
 
     def _restrict(self, orders: tuple[int, ...]) -> HarmonicBalance:
         balance = self.balance

@@ -62,19 +62,17 @@ class NewtonStep:
             weight[0] *= (balance.static_force_row == 0) & (balance.static_displacement_row == 0)
         return weight
 
-    def spread(self, shift: float) -> RealArray | None:
-        """``(n_h, m)`` what a diagonal shift adds to each row; None where there is none."""
-        return shift * self.shift_weight if shift else None
+    def spread(self, shift: float) -> RealArray:
+        """``(n_h, m)`` what a diagonal shift adds to each row."""
+        return shift * self.shift_weight if shift else np.zeros((len(self.balance.basis.orders), self.balance.rows))
 
     def multiply(self, direction: RealArray, shift: float = 0.0) -> RealArray:
         """``(J + shift) v`` without forming J, ``(size,)``."""
         balance = self.balance
         forces, rigid = balance.unpack(direction)
         motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
-        product = self.change(forces, motion)
-        if (added := self.spread(shift)) is not None:
-            moved = balance.size - balance.rigid
-            product[:moved] += added[balance.basis.slot][balance.unknown] * direction[:moved]
+        product, moved = self.change(forces, motion), balance.size - balance.rigid
+        product[:moved] += self.spread(shift)[balance.basis.slot][balance.unknown] * direction[:moved]
         return product
 
     def change(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
@@ -126,8 +124,7 @@ class NewtonStep:
         b = np.zeros(size + balance.rigid)
         block = matrix[:size, :size].reshape(mixed.size, n_c, n_c, mixed.size)  # a view: the matrix itself
         pair, order = np.arange(mixed.size)[:, None], np.arange(n_c)
-        if elimination.shift is not None:
-            block[pair, order, order, pair] = elimination.shift[basis.slot][:, mixed].T
+        block[pair, order, order, pair] = elimination.shift[basis.slot][:, mixed].T
         if basis.has_mean:
             block[pair[:, 0], 0, 0, pair[:, 0]] += balance.static_force_row[mixed]
         known = load[:, mixed].T.copy()
