@@ -92,6 +92,8 @@ def compose(problem: Statement) -> ContactSystem:
     rows = layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse, layout.next_rows
     compliance = condense(layout.model, *rows)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)
+    tangents = [direction for direction in layout.index if direction != "normal"]
+    masses = {d: find_closing_masses(problem, layout, flexibility, d, rubs_to_hold) for d in tangents}
     return ContactSystem(
         **vars(layout),
         load=load,
@@ -100,7 +102,7 @@ def compose(problem: Statement) -> ContactSystem:
             law
             for pairs, laws in problem.groups
             for alike in layout.part(pairs)
-            for law in build_laws(problem, pairs, alike, laws, layout, flexibility, rubs_to_hold)
+            for law in build_laws(problem, pairs, alike, laws, layout, flexibility, masses, rubs_to_hold)
         ),
         flexibility=flexibility,
         basis=basis,
@@ -168,15 +170,18 @@ def build_laws(
     laws: ContactLaws,
     layout: Layout,
     flexibility: RealArray,
+    masses: Mapping[str, RealArray],
     rubs_to_hold: bool,
 ) -> list[Law]:
-    """Law objects of some pairs among those for which the laws were stated."""
+    """Law objects of some pairs among those for which the laws were stated.
+
+    Masses close no truncation where no equation of the mean keeps the mass's own surface from sliding off.
+    """
     rows = layout.rows_of(pairs)
     own = {direction: flexibility[at] for direction, at in rows.items()}
     weights = {direction: choose_weight(problem, direction, pairs, own[direction]) for direction in own}
-    masses = {
-        d: choose_closing_mass(problem, pairs, layout, flexibility, d, rubs_to_hold) for d in rows if d != "normal"
-    }
+    held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
+    masses = {d: held * masses[d][pairs] for d in rows if d != "normal"}
     closing = {d: choose_closing(problem, pairs, layout, rows[d], own[d], masses[d]) for d in masses}
     clearance, period = problem.clearance[pairs], 1 / problem.frequency if problem.frequency else 0.0
     total = problem.model.pairs
@@ -208,32 +213,26 @@ def choose_closing(
     return others * springs * soften(problem, layout, rows, springs)
 
 
-def choose_closing_mass(
-    problem: Statement,
-    pairs: np.ndarray,
-    layout: Layout,
-    flexibility: RealArray,
-    direction: str,
-    rubs_to_hold: bool,
+def find_closing_masses(
+    problem: Statement, layout: Layout, flexibility: RealArray, direction: str, rubs_to_hold: bool
 ) -> RealArray:
-    """``(K,)`` masses that close the truncation at a group of pairs, zero where none do [kg].
+    """``(K_c,)`` masses that may close the truncation along a tangent, zero where none do [kg].
 
     None behind a spring of the pair's own, where springs may close it. None where bodies hang on friction: dashpots
-    tell whether these walk. And none where no equation of the mean keeps the mass's own surface from sliding off.
+    tell whether these walk.
     """
     highest, at = problem.basis.orders[-1], layout.index[direction]
-    masses = np.zeros(at.size)
-    held = problem.basis.has_mean or halves_repeat(problem, pairs, layout)
-    if problem.has_masses and highest and held and not rubs_to_hold:
+    found, pairs = np.zeros(at.size), np.flatnonzero(at >= 0)
+    if problem.has_masses and highest and not rubs_to_hold:
         odd = (highest - 1) | 1  # the same whether symmetry leaves out even ones or not
         wave = layout.usual_wave
-        rows = layout.rows_in(wave)[at[at >= 0]]
-        masses[at >= 0] = find_masses(layout.model, rows, problem.omega, odd, wave)
+        rows = layout.rows_in(wave)[at[pairs]]
+        masses = find_masses(layout.model, rows, problem.omega, odd, wave)
         if problem.has_springs and np.any(masses):
-            own = find_own_springs(layout.model, rows, flexibility[at[at >= 0]], problem.omega, highest, wave)
-            masses[at >= 0] *= own == 0
-        masses[at >= 0] /= soften(problem, layout, at[at >= 0], masses[at >= 0])
-    return masses[pairs]
+            own = find_own_springs(layout.model, rows, flexibility[at[pairs]], problem.omega, highest, wave)
+            masses *= own == 0
+        found[pairs] = masses / soften(problem, layout, at[pairs], masses)
+    return found
 
 
 def soften(problem: Statement, layout: Layout, rows: np.ndarray, closing: RealArray) -> RealArray | float:
