@@ -64,6 +64,14 @@ class Derivative:
         return np.zeros(self.rows.size) if self.remembers else self.values[0]
 
 
+def find_steady(derivatives: Sequence[Derivative], rows: int) -> np.ndarray:
+    """Which of so many rows have the same derivatives at every sample, ``(m,)``."""
+    steady = np.ones(rows, dtype=bool)
+    for d in derivatives:
+        steady[d.rows[d.changes]] = False
+    return steady
+
+
 @dataclass(frozen=True, eq=False)
 class ProjectedDerivative:
     """Derivative of one law's projected rows by the coefficients of what is at the columns paired with them."""

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from ewr_fenicsx.balance.elimination import BATCH, Elimination, Equations, apply_harmonics
-from ewr_fenicsx.balance.law_derivatives import Derivative, ProjectedDerivative, project_derivatives
+from ewr_fenicsx.balance.law_derivatives import Derivative, ProjectedDerivative, find_steady, project_derivatives
 from ewr_fenicsx.given import ComplexArray, RealArray
 
 
@@ -28,10 +28,7 @@ class NewtonStep:
     @cached_property
     def steady(self) -> np.ndarray:
         """``(m,)`` rows whose derivatives are the same at every sample."""
-        changes = np.zeros(self.balance.rows, dtype=bool)
-        for d in self.derivatives:
-            changes[d.rows] |= d.changes
-        return ~changes
+        return find_steady(self.derivatives, self.balance.rows)
 
     @property
     def unknowns_left(self) -> int:

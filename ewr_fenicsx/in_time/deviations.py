@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance, pose_at
-from ewr_fenicsx.balance.law_derivatives import Derivative
+from ewr_fenicsx.balance.law_derivatives import Derivative, find_steady
 from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.in_time.followed_modes import Followed, follow_modes
@@ -75,10 +75,7 @@ class Slopes:
         """None where a derivative is by something else than ``VARIABLES``, or reaches back."""
         if not all(map(is_followed, derivatives)):
             return None
-        is_steady = np.ones(rows, dtype=bool)
-        for d in derivatives:
-            is_steady[d.rows[d.changes]] = False
-        return cls(derivatives, is_steady)
+        return cls(derivatives, find_steady(derivatives, rows))
 
     @property
     def samples(self) -> int:
