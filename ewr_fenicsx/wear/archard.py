@@ -36,7 +36,8 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     """By how much a worn depth slows its own growth, ``diag(k_w s) K_c``, ``(K_c, K_c)`` [1/cycle].
 
     ``s`` is the distance slid while closed a cycle and ``K_c`` the mean contact stiffness, pressure per depth, of the
-    pairs that are ever closed, those that do not wear included, with floating bodies free to follow.
+    pairs that are ever closed, those that do not wear included, with floating bodies free to follow, and what their
+    laws give way by themselves (``stick_flexibility``).
 
     Args:
         solution: The state.
@@ -49,7 +50,11 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     if not pairs.size:
         return decay
     rows = system.row_of("normal", pairs)
-    flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)]
+    own = np.zeros(problem.model.pairs)  # of what gives way between the bodies
+    for law in system.laws:
+        if law.direction == "normal":
+            own[law.pairs] = law.stick_flexibility
+    flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)] + np.diag(own[pairs])
     G = system.compliance.rigid_motion[rows]
     free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
     bends = free.T @ flexibility @ free
