@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.in_time.time_stepping import FRICTION, Carried, Period, TimeScheme
+from ewr_fenicsx.in_time.time_stepping import FRICTION, Period, TimeScheme
 
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if
@@ -20,13 +20,7 @@ _ALIKE, _CONSTANT, _FADES = 0.5, 1e-3, 1e-3
 WALKS = "every period ends elsewhere with the velocities that it began with: a body walks"
 _WINDOW = 6  # periods that the extrapolation looks back on
 _STEADILY = 10  # periods, each of which has to change less than the one before, for a motion that decays
-# What the last periods, so many, tell of deviations that grow: differences of states above a share of the oscillation,
-# apart from each other by some others (each misses what another one sees), and multipliers from which on it is looked
-# what becomes of a small one: whether it grows by a factor, falls by one (what is left may grow then), or has grown
-# somewhat after so many periods: modes that beat with each other make up for a little less. What friction stops within
-# a step loses what it deviates by: there it is not smaller than what the oscillation goes through in some steps.
-_REMEMBERED, _TOLD, _APART, _GROWING = 12, 1e-6, (1e-3, 1e-2, 1e-1), 1.01
-_SMALL, _SOME, _FAR, _FALLEN, _GROWN, _FOLLOWED = 1e-3, 2.0, 3.0, 10.0, 1.5, 40
+_REMEMBERED = 12  # periods whose differences tell of deviations that grow (``surroundings.py``)
 
 
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
@@ -148,11 +142,13 @@ class Anderson:
     States are measured by their kinetic energy, positions times ``omega``: the stiffest modes ring from step to step
     and would drown the rest in an elastic norm.
 
-    Extrapolation finds motions that others leave as well as those to which they come: see ``find_growing``.
+    Extrapolation finds motions that others leave as well as those to which they come: see ``surroundings.py``.
 
     Attributes:
-        defect: Distance of the last period's end from its start, relative to the rms oscillation during it (where there
-            is next to none, to what a change is judged by then).
+        weight: ``(2 n',)`` of a state's entries in its size.
+        oscillation: Size of the rms oscillation in the last period; where there is next to none, of what a change is
+            judged by then.
+        defect: Distance of the last period's end from its start, relative to the oscillation.
         distance: How far the last extrapolation reaches beyond that end, relative to the same: the distance left.
 
     Source: Walker & Ni (2011), doi:10.1137/10078356X.
@@ -160,72 +156,31 @@ class Anderson:
 
     def __init__(self, scheme: TimeScheme):
         root = np.sqrt(np.maximum(scheme.mass, 0.0))
-        self._weight = np.concatenate([scheme.problem.omega * root, root])
+        self.weight = np.concatenate([scheme.problem.omega * root, root])
         self._pushed = np.linalg.norm(root * scheme.velocity_of_load) / np.sqrt(scheme.steps)
-        turned = 2 * np.pi / scheme.steps if np.any(scheme.kind == FRICTION) else 0.0
-        self._small = max(_SMALL, _SOME * turned)
         self._ends: list[RealArray] = []
         self._residuals: list[RealArray] = []
-        self._oscillation = 1.0
+        self.oscillation = 1.0
         self.defect = self.distance = np.nan
 
     def extrapolate(self, start: RealArray, end: RealArray, period: Period) -> RealArray:
         """State ``(2 n',)`` from which the next period should start, from this period and the last few."""
         self._ends = [*self._ends, end][-_REMEMBERED:]
-        self._residuals = [*self._residuals, self._weight * (end - start)][-_REMEMBERED:]
+        self._residuals = [*self._residuals, self.weight * (end - start)][-_REMEMBERED:]
         correction = np.zeros_like(end)
         if len(self._ends) > 1:
             change, ways = (np.diff(values[-_WINDOW:], axis=0) for values in (self._residuals, self._ends))
             correction = -np.linalg.lstsq(change.T, self._residuals[-1], rcond=1e-10)[0] @ ways
-        states = np.hstack([period.positions, period.velocities]) * self._weight
+        states = np.hstack([period.positions, period.velocities]) * self.weight
         swing, still = np.sqrt(states.var(axis=0).sum()), np.sqrt(np.mean(states**2, axis=0).sum())
-        self._oscillation = oscillation = max(swing, _STILL * still, _ROUNDED * self._pushed, np.finfo(float).tiny)
+        self.oscillation = oscillation = max(swing, _STILL * still, _ROUNDED * self._pushed, np.finfo(float).tiny)
         self.defect = float(np.linalg.norm(self._residuals[-1]) / oscillation)
         if len(self._ends) > 1:
-            self.distance = float(np.linalg.norm(self._weight * correction) / oscillation)
+            self.distance = float(np.linalg.norm(self.weight * correction) / oscillation)
         return end + correction
 
-    def find_growing(self) -> RealArray | None:
-        """The deviation ``(2 n',)`` that would grow most, small beside the oscillation; None where all are to decay.
-
-        As the period map has it on the space of the last states that differ enough.
-        """
-        ends, residuals = np.diff(self._ends, axis=0).T, np.diff(self._residuals, axis=0).T
-        before = self._weight[:, None] * ends - residuals
-        size = np.linalg.norm(before, axis=0)
-        differ = size > _TOLD * self._oscillation
-        if not np.any(differ):
-            return None
-        before, after = before[:, differ] / size[differ], ends[:, differ] / size[differ]
-        space, sizes, mix = np.linalg.svd(before, full_matrices=False)
-        multiplier, fastest = _GROWING, None
-        for apart in _APART:
-            kept = sizes > apart * sizes[0]
-            mapped = after @ (mix[kept].T / sizes[kept])
-            multipliers, states = np.linalg.eig(space[:, kept].T @ (self._weight[:, None] * mapped))
-            most = np.argmax(np.abs(multipliers))
-            if abs(multipliers[most]) > multiplier:
-                multiplier, fastest = abs(multipliers[most]), mapped @ states[:, most].real
-        return None if fastest is None else self._small * self._oscillation * fastest
-
-
-def is_left(scheme: TimeScheme, step: Callable[[RealArray, Carried], Period], last: Period, beside: RealArray) -> bool:
-    """Whether a motion that begins a little beside a steady one goes away from it.
-
-    Args:
-        scheme: The scheme.
-        step: Steps a period, from a state ``(2 n',)`` and what is carried.
-        last: The last period of the steady motion.
-        beside: The deviation, ``(2 n',)``.
-    """
-    here = np.concatenate([last.positions[-1], last.velocities[-1]])
-    energy = np.sqrt(np.maximum(np.concatenate([scheme.stiffness, scheme.mass]), 0.0))
-    pair, carried, apart = [here, here + beside], [last.carried] * 2, []
-    for _ in range(_FOLLOWED):
-        periods = [step(*each) for each in zip(pair, carried, strict=True)]
-        pair = [np.concatenate([period.positions[-1], period.velocities[-1]]) for period in periods]
-        carried = [period.carried for period in periods]
-        apart.append(np.linalg.norm(energy * (pair[1] - pair[0])))
-        if not apart[0] / _FALLEN < apart[-1] < apart[0] * _FAR:
-            break
-    return bool(apart[-1] > _GROWN * apart[0])
+    @property
+    def deviations(self) -> tuple[RealArray, RealArray]:
+        """Differences of the last states, weighted, at periods' starts and at their ends, ``(2 n', k)`` each."""
+        ends, residuals = (np.diff(values, axis=0).T for values in (self._ends, self._residuals))
+        return self.weight[:, None] * ends - residuals, ends

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 
 import numpy as np
@@ -13,7 +14,8 @@ from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.lifting import lift_out
-from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, is_left, tell_walk
+from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, tell_walk
+from ewr_fenicsx.in_time.surroundings import Surroundings
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
@@ -47,7 +49,7 @@ class SteadyState:
         sweeps: Mean number of Gauss-Seidel sweeps a step.
         seconds: Wall time, compilation left out.
         transients: Name -> that output at all steps from the start, ``(periods * steps + 1,)``; empty when accelerated.
-        unstable: Whether motions that begin next to the steady one are seen to leave it; looked at when accelerated.
+        surroundings: What is next to a steady motion, when accelerated; else None.
     """
 
     problem: ContactProblem = field(repr=False)
@@ -63,12 +65,20 @@ class SteadyState:
     sweeps: float
     seconds: float
     transients: Mapping[str, RealArray] = field(repr=False)
-    unstable: bool = False
+    surroundings: Surroundings | None = field(repr=False, default=None)
 
     @property
     def orders(self) -> tuple[int, ...]:
         """Harmonics of the amplitudes that ``output`` returns."""
         return self.problem.basis.orders
+
+    @cached_property
+    def unstable(self) -> bool:
+        """Whether motions that begin next to the steady one are seen to leave it; looked at when accelerated.
+
+        Some more periods are stepped the first time that it is asked for, as by ``summary``.
+        """
+        return self.surroundings is not None and self.surroundings.are_left()
 
     @property
     def end(self) -> State:
@@ -356,8 +366,7 @@ def integrate(
     if last.unsolved:
         reason += f"; {last.unsolved} of the last {scheme.steps} steps missed the contact tolerance in {sweeps} sweeps"
     steady = reason == "steady"
-    beside = anderson.find_growing() if steady and acceleration else None
-    unstable = beside is not None and is_left(scheme, step, last, beside)
+    beside = Surroundings(scheme, last, anderson, contact_tolerance, sweeps)
     return SteadyState(
         problem=problem,
         scheme=scheme,
@@ -372,5 +381,5 @@ def integrate(
         sweeps=sweeps_taken / (len(changes) * scheme.steps),
         seconds=time.perf_counter() - begin,
         transients={} if acceleration else watch.transients,
-        unstable=unstable,
+        surroundings=beside if steady and acceleration else None,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from small_models import stop_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
@@ -56,6 +57,44 @@ def test_extrapolation_ends_on_the_branch_between_two_folds_and_says_so():
     onto, away = (integrate(problem, near, 512, theta=0.52, acceleration=fast) for fast in (True, False))
     assert onto.converged and onto.unstable and away.converged and not away.unstable
     assert abs(onto.output("tip")[1]) > 1.2 and abs(away.output("tip")[1]) < 0.8
+
+
+def hit_both_sides() -> ReducedModel:
+    """Two masses that whirl, and hit a springy stop on either side."""
+    way, stop, none = np.array([0.64, 0.77]), 5.0, np.zeros((2, 2))
+    reach = np.hstack([np.outer([1.0, -1.0], way), -np.eye(2)])
+    springs = stop * reach.T @ reach
+    springs[:2, :2] += [[0.62, 0.18], [0.18, 0.47]]
+    loads = {1: [-0.14 + 0.32j, 0.61 - 0.42j, 0.0, 0.0], 2: [-1.24 - 0.74j, 0.58 + 0.35j, 0.0, 0.0]}
+    damping = block_diag([[0.04, 0.17], [-0.08, -0.02]], none)
+    return ReducedModel(block_diag(np.diag([1.7, 3.0]), none), damping, springs, -np.eye(4)[2:], load=loads)
+
+
+def slide_beside_a_stop() -> ReducedModel:
+    """A mass that hits a springy stop and there slides through a spring; no mass turns where friction holds it."""
+    springs = [[12.46, 10.0, -2.0], [10.0, 10.0, 0.0], [-2.0, 0.0, 2.0]]
+    loads = {0: [1.17, 0.0, 0.0], 1: [0.03 + 0.17j, 0.0, 0.0], 2: [-0.14 - 0.086j, 0.0, 0.0]}
+    mass, damping, (_, stop, slider) = np.diag([1.03, 0.0, 0.0]), np.diag([0.024, 0.0, 0.0]), np.eye(3)
+    return ReducedModel(mass, damping, springs, [-stop], [slider], loads)
+
+
+@pytest.mark.parametrize(
+    ("model", "laws", "omega"),
+    [
+        (hit_both_sides(), ContactLaws(tangential="frictionless", initial_gap=[-0.3, 0.0]), 0.66),
+        (hit_both_sides(), ContactLaws(tangential="frictionless", initial_gap=[-0.3, 0.0]), 0.70),
+        (slide_beside_a_stop(), ContactLaws(friction=0.26, initial_gap=0.3), 0.332),
+    ],
+)
+def test_what_leaves_slowly_or_not_far_is_told_where_extrapolation_met_little_of_it(model, laws, omega):
+    """Of what grows by some five per cent a period the way there told nothing; what doubles stays within some more."""
+    problem, stepping = ContactProblem(model, laws, omega / (2 * np.pi), 5), {"steps": 512, "theta": 0.505}
+    steady = integrate(problem, "rest", tolerance=1e-6, acceleration=True, **stepping)
+    assert steady.converged
+    beside = State(steady.end.position + 1e-3 * model.mass.any(axis=0), steady.end.velocity)
+    gone = integrate(problem, beside, tolerance=1e-6, **stepping)
+    assert not gone.converged and gone.changes[-1] > 10 * gone.changes[1]
+    assert steady.unstable
 
 
 def test_where_a_mass_rubs_a_small_deviation_is_not_what_steps_make_of_it():
