@@ -337,7 +337,8 @@ def _check_laws(scene: Scene) -> Iterator[str]:
     joint, listed = laws_in_force(scene), scene.listed_flanks
     for name in () if listed is None else sorted({*scene.flanks} - {*listed}):
         hint = nearest(name, sorted({*listed} - {*scene.flanks}))
-        yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it there{hint}"
+        there = "there, or to cyclic.flanks if the next sector lies on it" if scene.cyclic else "there"
+        yield f"flanks.{name}: contact.flanks = {list(scene.contact.flanks)} leave this flank out; add it {there}{hint}"
     for where, laws in joint.items():
         if laws.normal == "prescribed" and laws.normal_force is None:
             yield f'{where}: normal = "prescribed" needs normal_force [N], the force of every pair'

@@ -116,7 +116,7 @@ def test_cuts_that_meet_on_the_axis_are_refused(build):
         (("[contact]", "[contact]\nflanks = ['near', 'far_wedge']"), SceneError, '"far_wedge" is an end of the sector'),
         (('"far_wedge", "far_blade"', '"far_wedge", "fur_blade"'), SceneError, 'did you mean "far_blade"'),
         (("[contact]", "[flanks.fur]\nfriction = 0.1\n[contact]"), SceneError, 'did you mean "far"'),
-        (("[contact]", "[contact]\nflanks = ['near']\n[flanks.fur]\n"), SceneError, "leave this flank out"),
+        (("[contact]", "[contact]\nflanks = ['near']\n[flanks.fur]\n"), SceneError, "there, or to cyclic.flanks"),
     ],
 )
 def test_flanks_between_sectors_that_do_not_fit_are_refused(build, change, error, told):
