@@ -6,16 +6,21 @@ from petsc4py import PETSc
 
 from ewr_fenicsx.errors import OptionError
 
-_SOLVERS = ((PETSc.SNES, "ewr_"), (PETSc.KSP, "ewr_inexact_"))  # that take options, and their prefixes
-
 # What PETSc takes and then fails with in the midst of the work, or what ends it in contradictions: name -> remedy
 _TOLERANCE = "solver.tolerance in the scene decides where Newton's method ends"
 _MATRIX = "the Newton matrix is exact; leave the option out, or compare it with differences by -ewr_snes_test_jacobian"
 _REMEDIES = {f"ewr_snes_{name}": _TOLERANCE for name in ("atol", "rtol", "stol")}
 _REMEDIES |= {f"ewr_snes_{name}": _MATRIX for name in ("mf", "mf_operator", "fd", "fd_color")}
-# Kinds that work: on a dense matrix on one process, or on one that is a product only
+# Kinds that work: on a dense matrix on one process, or on one that is a product only, without that of its transpose
+_LINEAR = (
+    *("preonly", "none", "richardson", "chebyshev", "gmres", "fgmres", "lgmres", "dgmres", "pgmres", "pipefgmres"),
+    *("gcr", "pipegcr", "bcgs", "fbcgs", "fbcgsr", "bcgsl", "qmrcgs", "tfqmr", "tcqmr", "cgs", "cg", "fcg", "cr"),
+    *("minres", "symmlq"),
+)
 _NEWTON = ("newtonls", "newtontr", "newtontrdc", "vinewtonrsls", "vinewtonssls", "ksponly", "python")
 _KINDS = {
+    "ewr_ksp_type": _LINEAR,
+    "ewr_inexact_ksp_type": _LINEAR,
     "ewr_pc_type": ("lu", "qr", "svd", "none", "bjacobi", "gasm", "ilu", "jacobi", "ksp", "mat", "redundant"),
     "ewr_inexact_pc_type": ("none", "mat"),
     "ewr_snes_type": (*_NEWTON, "anderson", "fas", "ms", "ncg", "ngmres", "nrichardson", "qn"),
@@ -25,7 +30,7 @@ _STEPS = "ewr_snes_max_it"
 
 
 def check_options() -> None:
-    """Has solvers with the package's prefixes take their options, and throws them away.
+    """Has solvers with the package's prefixes take their options, sets the linear ones up, and throws them away.
 
     Options that they take still count as asked for by nobody, until a solver of the work does.
 
@@ -34,13 +39,21 @@ def check_options() -> None:
     """
     options, given = PETSc.Options(), _list_options()
     try:
-        for kind, prefix in _SOLVERS:
-            solver = kind().create(PETSc.COMM_SELF)
+        snes, inexact = PETSc.SNES().create(PETSc.COMM_SELF), PETSc.KSP().create(PETSc.COMM_SELF)
+        exact = snes.getKSP()
+        exact.setType(PETSc.KSP.Type.PREONLY)
+        exact.getPC().setType(PETSc.PC.Type.LU)
+        inexact.setPCSide(PETSc.PC.Side.RIGHT)
+        inexact.getPC().setType(PETSc.PC.Type.NONE)
+        for solver, prefix in ((snes, "ewr_"), (inexact, "ewr_inexact_")):
             solver.setOptionsPrefix(prefix)
             solver.setFromOptions()
-            solver.destroy()
         for name, value in given.items():
             _check_option(name, value)
+        for solver in (exact, inexact):
+            _set_up(solver)
+        snes.destroy()
+        inexact.destroy()
     except PETSc.Error as error:
         shown = " ".join(f"-{name}" if value is None else f"-{name} {value}" for name, value in given.items())
         why = str(error).rstrip().splitlines()[-1].split("] ", 1)[-1]
@@ -49,6 +62,21 @@ def check_options() -> None:
         for name, value in given.items():
             options.delValue(name)
             options.setValue(name, value)
+
+
+def _set_up(ksp: PETSc.KSP) -> None:
+    """Sets a linear solver up, on a small matrix: PETSc refuses no sooner what does not go together.
+
+    Raises:
+        PETSc.Error: Kinds, their parts or sides do not.
+    """
+    matrix = PETSc.Mat().createDense((2, 2), comm=PETSc.COMM_SELF)
+    matrix.setUp()
+    matrix.shift(1.0)
+    ksp.setOperators(matrix)
+    ksp.setUp()
+    ksp.setUpOnBlocks()
+    matrix.destroy()
 
 
 def _check_option(name: str, value: str | None) -> None:

@@ -286,6 +286,9 @@ def test_options_with_which_petsc_does_not_start_are_told(tmp_path):
         ("-ewr_snes_monitor -ewr_pc_type gamg", "-ewr_pc_type gamg does not work here; choose one of lu, qr, "),
         ("-ewr_inexact_pc_type lu", "-ewr_inexact_pc_type lu does not work here; choose one of none, mat, or leave it"),
         ("-ewr_snes_type shell", "-ewr_snes_type shell does not work here; choose one of newtonls, newtontr, "),
+        ("-ewr_ksp_type lsqr", "-ewr_ksp_type lsqr does not work here; choose one of preonly, none, richardson, "),
+        ("-ewr_pc_type bjacobi -ewr_sub_pc_type foo", "PETSc refuses an option: Unable to find requested PC type foo"),
+        ("-ewr_ksp_type fgmres -ewr_ksp_pc_side left", "PETSc refuses an option: KSP fgmres does not support "),
         ("-mat_type dense", "-mat_type dense does not work here; choose one of aij, or leave it out"),
     ],
 )
@@ -312,6 +315,7 @@ def test_a_negative_number_of_steps_is_refused_before_the_work(ewr, petsc_option
         *(f"-ewr_snes_type {kind}" for kind in NEED_MATRIX),
         "-ewr_pc_type lu",
         "-ewr_pc_type none -ewr_ksp_type gmres -ewr_ksp_rtol 1e-12 -ewr_ksp_gmres_restart 300",
+        "-ewr_pc_type bjacobi -ewr_ksp_type fgmres -ewr_inexact_ksp_type gcr",
         "-ewr_snes_max_it 30",
     ],
 )
