@@ -228,7 +228,7 @@ def print_costs(report: CostReport) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("knob", no_wrap=True)
     for header in ("value", "unknowns", "steps", "s", *report.rows[0]["errors"]):
-        table.add_column(header, justify="right")
+        table.add_column(header.replace(" ", "\n"), justify="right")
     for row in report.rows:
         cells = [f"{row['value']:g}", str(row["unknowns"]), str(row["steps"]), f"{row['seconds']:.3f}"]
         errors = [f"{error:.1e}" for error in row["errors"].values()] if row["converged"] else ["not found"]
@@ -238,6 +238,8 @@ def print_costs(report: CostReport) -> None:
         "steps: of Newton; s: processor time\n"
         'N: highest harmonic; springs: closure = "spring"; by mobility: rho_T as an accuracy chooses it'
     )
+    needed = console.measure(table, options=console.options.update(width=1000)).maximum
+    console.width = max(console.width, needed)  # a narrow terminal, as that of mpirun, breaks lines and cuts no number
     console.print(table)
 
 

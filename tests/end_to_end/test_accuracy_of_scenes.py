@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from small_scenes import read_demo, write_blocks
 
 from ewr_fenicsx import solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import estimates
-from ewr_fenicsx.cli import main
+from ewr_fenicsx.cli import main, print_costs
 from ewr_fenicsx.errors import ModelError, SceneError
 from ewr_fenicsx.runs import cost_report
 from ewr_fenicsx.runs.study import _Modes, run_study
@@ -309,6 +310,18 @@ def test_settings_without_a_solution_are_told_from_the_others(tmp_path, capsys, 
     lines = [line for line in capsys.readouterr().out.splitlines() if re.match(r"N +\d", line)]
     assert "not found" in lines[0] and "e-" not in lines[0]
     assert "not found" not in lines[1] and "e-" in lines[1]
+
+
+def test_a_narrow_terminal_cuts_no_costs(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    figures = ("output", "rms", "J_T", "largest normal force", "normal forces", "deepest wear", "wear", "signorini")
+    row = {"knob": "N, rho_T by mobility, 8 N samples", "value": 12.0, "unknowns": 453, "steps": 27, "seconds": 1.234}
+    row |= {"converged": True, "errors": {name: 1.2e-3 * k for k, name in enumerate(figures, 1)}}
+    print_costs(cost_report.CostReport("", [row], "", 0.0, "", {}))
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("N, rho_T"))
+    errors = [f"{error:.1e}" for error in row["errors"].values()]
+    assert line.split() == [*row["knob"].split(), "12", "453", "27", "1.234", *errors]
 
 
 def test_nothing_to_choose_where_nothing_oscillates(tmp_path):
