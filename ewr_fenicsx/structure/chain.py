@@ -145,9 +145,8 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 loads=[_load(name, load) for name, load in scene.loads.items()],
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
-        doubts += tuple(doubt_materials(scene.materials, mesh.bodies))
-        doubts += tuple(doubt_tetrahedra(mesh.dimension, structure.space.dofmap.dof_layout.num_dofs))
-        doubts += tuple(doubt_pieces(structure))
+        nodes, pieces = structure.space.dofmap.dof_layout.num_dofs, doubt_pieces(structure)
+        doubts += (*doubt_materials(scene.materials, mesh.bodies), *doubt_tetrahedra(mesh.dimension, nodes), *pieces)
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
             ring = _ring(scene, mesh)
@@ -168,11 +167,9 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
         check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too
         with watch.stage("reduction"):
             reduction = reduce_structure(structure, interface, modes=scene.reduction.modes, cuts=cuts)
-    modes = reduction.fixed_interface_frequencies
-    doubts += tuple(doubt_closure(scene, mesh.dimension))
-    doubts += tuple(doubt_modes(scene, len(modes), float(max(modes))))
-    doubts += tuple(doubt_frequency(scene, float(reduction.full_stick.frequency[0])))
-    doubts += tuple(doubt_drag(scene, reduction.rigid_drag))
+    modes, stuck = reduction.fixed_interface_frequencies, float(reduction.full_stick.frequency[0])
+    doubts += (*doubt_closure(scene, mesh.dimension), *doubt_modes(scene, len(modes), float(max(modes))))
+    doubts += (*doubt_frequency(scene, stuck), *doubt_drag(scene, reduction.rigid_drag))
     return Chain(scene, reduction, watch.seconds, doubts)
 
 
