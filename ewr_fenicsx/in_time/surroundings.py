@@ -71,7 +71,7 @@ class Surroundings:
         scheme = self.scheme
         rubs, moved = np.flatnonzero(scheme.kind == FRICTION), scheme.mass > _MASS
         by_masses = np.sum(scheme.rows[np.ix_(rubs, moved)] * scheme.push[np.ix_(moved, rubs)].T, axis=1)
-        stops = np.any(by_masses > 0.5 * np.diagonal(scheme.delassus_columns)[rubs])
+        stops = np.any(by_masses > _MASS * np.diagonal(scheme.delassus_columns)[rubs])
         turned = 2 * np.pi / scheme.steps if stops else 0.0
         return self.extrapolation.oscillation * max(_SMALL, _SOME * turned)
 
