@@ -28,6 +28,7 @@ from ewr_fenicsx.structure.reduction import keep_more_modes
 
 if TYPE_CHECKING:
     from ewr_fenicsx.response.response_curve import FrequencyResponse
+    from ewr_fenicsx.wear.wear import WearHistory
 
 STABILITY = "stability"  # the stage that looks at it, and at all else that speaks against solutions
 UNSEEN = "interrupted: nobody has looked at what speaks against it, such as its stability"
@@ -125,13 +126,24 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
     return [findings.tell_estimate(estimate, what)], findings.list_causes(estimate)
 
 
-def _look_at(solution: PeriodicSolution, tell: Callable[[], str], watch: Stopwatch) -> tuple[str, str]:
-    """What is told of a solution, which is not lost where that takes too long; and what it then lacks."""
+def _look_at(
+    tell: Callable[[], str],
+    watch: Stopwatch,
+    work: Path | None,
+    *solutions: PeriodicSolution,
+    history: WearHistory | None = None,
+) -> tuple[str, str]:
+    """What is told of solutions, which are not lost where that takes too long; and what it then lacks."""
     try:
         with watch.stage(STABILITY):
             return tell(), ""
     except KeyboardInterrupt:
-        vars(solution)["cautions"] = (UNSEEN,)
+        if work is not None:  # from which the same command goes on
+            raise
+        for solution in solutions:
+            vars(solution)["cautions"] = (UNSEEN,)
+        if history is not None:
+            vars(history)["loss_of_stability"] = None
         return tell(), "a look at what speaks against them"
 
 
@@ -146,7 +158,7 @@ def _solve(chain: Chain, watch: Stopwatch, work: Path | None, through: float) ->
         return _solve_to_accuracy(chain, watch, problem)
     with watch.stage("solve"):
         solution = solve(problem, tolerance=scene.solver.tolerance)
-    told, lacking = _look_at(solution, solution.summary, watch)
+    told, lacking = _look_at(solution.summary, watch, None, solution)
     return Study(chain, solution, watch.seconds, None, told, lambda folder: None, cut_short=lacking)
 
 
@@ -220,7 +232,7 @@ def _solve_to_accuracy(chain: Chain, watch: Stopwatch, problem: ContactProblem) 
         found = findings.word_remedy(
             solve_to_accuracy(problem, asked.accuracy, tolerance=asked.tolerance, **modes.choice)
         )
-    told, lacking = _look_at(found.solution, found.summary, watch)
+    told, lacking = _look_at(found.summary, watch, None, found.solution)
     chain, facts = modes.chain_of(found.solution), {"accuracy": findings.list_accuracy(found)}
     return Study(chain, found.solution, watch.seconds, None, told, lambda folder: None, facts, lacking)
 
@@ -358,8 +370,10 @@ def _wear(chain: Chain, watch: Stopwatch, work: Path | None, through: float) -> 
         draw_curves(folder / "wear.png", "cycles", history.cycles, depths)
 
     last, count = history.solutions[-1], len(chain.reduction.modal_coordinates)
-    with watch.stage(STABILITY):  # of the joint as it was and as it is
-        told = "\n".join([*findings.tell_wear(history, through, count), f"worn: {last.summary()}"])
-        facts = findings.list_facts_of_wear(history)
+
+    def tell() -> str:
+        return "\n".join([*findings.tell_wear(history, through, count), f"worn: {last.summary()}"])
+
     course = history.cycles, history.total_volume / interface.area.sum()
-    return Study(chain, last, watch.seconds, course, told, write, facts)
+    told, lacking = _look_at(tell, watch, work, history.solutions[0], last, history=history)  # unworn and worn
+    return Study(chain, last, watch.seconds, course, told, write, findings.list_facts_of_wear(history), lacking)

@@ -247,6 +247,21 @@ def test_a_solution_outlives_the_look_at_its_stability(ewr, scene, tmp_path, mon
     assert one.get("estimate") is None
 
 
+def test_wear_of_which_no_work_is_kept_outlives_the_look_at_its_stability(ewr, scene, tmp_path, monkeypatch):
+    """With an accuracy, under which no run goes on; where the motion is unstable, many solutions are looked at."""
+    scene.write_text(write_scene("[wear]\ncycles = 3", solver="accuracy = 0.1"))
+    with monkeypatch.context() as patch:
+        count_calls(patch, solution, "find_growth", 0)
+        code, told = ewr()
+    assert code == 130
+    assert told.endswith("broken, without a look at what speaks against them\n")
+    assert ewr(out="unbroken")[0] == 0
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
+    assert one["wear"].pop("reservations_of_first_solve") == one["solution"].pop("cautions") == [UNSEEN]
+    two["wear"].pop("reservations_of_first_solve"), two["solution"].pop("cautions")
+    assert all(one[name] == two[name] for name in ("wear", "solution", "files", "accuracy"))
+
+
 @pytest.mark.parametrize("study", STUDIES)
 def test_work_that_goes_on_waits_for_its_estimate(ewr, scene, tmp_path, monkeypatch, study):
     scene.write_text(STUDIES[study][0])
