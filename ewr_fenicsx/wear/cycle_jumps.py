@@ -3,7 +3,8 @@
 Every cycle is solved, or the slow time is crossed in jumps: an embedded pair of orders one and two measures the error
 of a jump and chooses the next. Explicit jumps are Euler's and Heun's, and stay below the limit of stability that
 contact stiffness sets. Damped jumps know that stiffness and have no limit: the pair of Verwer, which is Euler's and
-Heun's where the stiffness is zero. A jump of one cycle is the cycle itself, so that jumps tend to the every-cycle run.
+Heun's where the stiffness is zero. They take of it what the jump before has shown, for pairs that are seldom closed
+together give way more easily. A jump of one cycle is the cycle itself, so that jumps tend to the every-cycle run.
 
 Source: Verwer et al. (1999), doi:10.1137/S1064827597326651, for ROS2, of order two with any Jacobian.
 """
@@ -30,6 +31,7 @@ GROWTH = 4.0  # of one jump over the one before, at most; none after one that le
 CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
 REMEDY = "lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)"  # of too much in a cycle
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
+AMPLE = 2.0  # of the stiffness that a jump has shown: the next one may meet more of it
 
 
 @dataclass(frozen=True, kw_only=True)  # a bare 0.01 would be read as a hundredth, and mean a depth of 10 mm
@@ -164,12 +166,16 @@ class WearRun:
         the linearly implicit Euler rule, for a single cycle: what the pair wears too deep would stay so.
         """
         here, one = state.latest, np.eye(len(decay))
-        damping = one + (GAMMA if self.jump.damped else 0.0) * length * decay
+        taken = (_find_share_shown(state, decay) if self.jump.damped else 0.0) * length * decay
+        damping = one + GAMMA * taken
         first = np.linalg.solve(damping, here.rate)
         depth = np.maximum(here.depth + length * first, 0.0)
         trial = self._solve(here, state.earlier, depth, length, fallbacks=length == 1)
         second = np.linalg.solve(damping, trial.rate - 2 * first)
-        error, allowed = 0.5 * length * float(np.abs(first + second).max()), self._allowed(here, length, decay)
+        # what a wrong stiffness does to the second order, which the pair does not see once damping is strong
+        missed = np.linalg.solve(damping, GAMMA**2 * taken @ (trial.rate - here.rate + taken @ first))
+        error = length * float(max(0.5 * np.abs(first + second).max(), np.abs(missed).max()))
+        allowed = self._allowed(here, length, decay)
         if error > allowed:
             return trial, here.depth + np.linalg.solve(one + decay, here.rate), allowed / error
         # the sum over so many cycles, which is half a cycle's change less than the integral
@@ -230,6 +236,16 @@ class WearRun:
                 raise NotConverged(f"no solution near that before the jump: {solution.reason}", best=solution)
             solution = solve(problem, latest.solution, self.tolerance)
         return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)
+
+
+def _find_share_shown(state: WearState, decay: RealArray) -> float:
+    """The part of the wear stiffness to damp the next jump with: as much as the change of rate over the last one shows.
+
+    Where pairs flap, those that are ever closed are far stiffer together than those that are closed at a time.
+    """
+    here, before = state.latest, state.earlier
+    foreseen = np.abs(decay @ (here.depth - before.depth)).max() if before else 0.0
+    return min(1.0, AMPLE * float(np.abs(here.rate - before.rate).max() / foreseen)) if foreseen > 0 else 1.0
 
 
 def _add_leap(state: WearState, found: list[WearStep]) -> WearState:
