@@ -82,10 +82,7 @@ class HarmonicBalance:
         compliance = self.compliance
         forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
         rigid = np.zeros(self.rigid)
-        own = REDUNDANCY * self.system.flexibility
-        for law, rows in zip(self.system.laws, self.law_rows, strict=True):
-            own[rows] += law.stick_flexibility
-        shift = np.diag(own)
+        shift = np.diag(REDUNDANCY * self.system.flexibility + self.system.stick_flexibility)
         for j, h in enumerate(self.basis.orders):
             if h and np.any(compliance.free_motion[j]):
                 forces[j] = _hold_still(compliance.flexibility[j] + shift, compliance.free_motion[j])

@@ -69,7 +69,8 @@ class NewtonStep:
         forces, rigid = balance.unpack(direction)
         motion = balance.compliance.motion(forces, rigid) - balance.compliance.free_motion
         product, moved = self.change(forces, motion), balance.size - balance.rigid
-        product[:moved] += self.spread(shift)[balance.basis.slot][balance.unknown] * direction[:moved]
+        if shift:  # mostly there is none, and products are many
+            product[:moved] += self.spread(shift)[balance.basis.slot][balance.unknown] * direction[:moved]
         return product
 
     def change(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:

@@ -347,11 +347,10 @@ class PeriodicMotion:
             model.react(name, self._rate**power * self.coordinates, self.orders)
             for power, name in enumerate(("stiffness", "damping", "mass"))
         )
+        left = elastic + viscous + inertial
+        known = [d for d in found if d != "normal" or model.normal is not None]
         for j, h in enumerate(self.orders):
-            known = [d for d in found if d != "normal" or model.normal is not None]
-            given = self.problem.loads.get(h, 0) + sum(
-                model.rows(d, model.wave_of(h)).conj().T @ found[d][j] for d in known
-            )
-            left = elastic[j] + viscous[j] + inertial[j] - given
-            for (direction, pairs), force in zip(bonds, find_bond_forces(model, bonds, left[:, None]), strict=True):
-                found[direction][j, pairs] = force[:, 0]
+            left[j] -= self.problem.loads.get(h, 0)
+            left[j] -= sum(model.rows(d, model.wave_of(h)).conj().T @ found[d][j] for d in known)
+        for (direction, pairs), force in zip(bonds, find_bond_forces(model, bonds, left.T), strict=True):
+            found[direction][:, pairs] = force.T

@@ -23,6 +23,11 @@ _STEADILY = 10  # periods, each of which has to change less than the one before,
 _REMEMBERED = 12  # periods whose differences tell of deviations that grow (``surroundings.py``)
 
 
+def find_end(period: Period) -> RealArray:
+    """State ``(2 n',)`` at a period's end."""
+    return np.concatenate([period.positions[-1], period.velocities[-1]])
+
+
 def count_missing(changes: Sequence[float], tolerance: float) -> int:
     """Periods missing to a tolerance where each one changes less than the one before; 0 where not, or none is set."""
     last = np.array(changes[-_STEADILY - 1 :])

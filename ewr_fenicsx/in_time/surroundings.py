@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.in_time.periodicity import Anderson
+from ewr_fenicsx.in_time.periodicity import Anderson, find_end
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Carried, Period, TimeScheme
 
 # Differences of states above a share of the oscillation tell; apart from each other by some others (each misses what
@@ -63,7 +63,7 @@ class Surroundings:
     @cached_property
     def _here(self) -> RealArray:
         """State ``(2 n',)`` of the steady motion at ``tau = 0``."""
-        return _end(self.last)
+        return find_end(self.last)
 
     @cached_property
     def _small(self) -> float:
@@ -88,13 +88,13 @@ class Surroundings:
         weight, omega = self.extrapolation.weight, self.scheme.problem.omega
         chance = np.random.default_rng(0).standard_normal((2, self.scheme.mass.size))
         deviation = (chance * [[1.0], [omega]] / np.sqrt(self.scheme.stiffness + omega**2 * self.scheme.mass)).ravel()
-        end = _end(self._step(self._here, self.last.carried))
+        end = find_end(self._step(self._here, self.last.carried))
         for _ in range(_BESIDE):
             size = np.linalg.norm(weight * deviation)
             if not size > _TOLD * self._small:  # nothing is left of it, or nothing has a mass
                 return
             before = deviation * self._small / size
-            deviation = _end(self._step(self._here + before, self.last.carried)) - end
+            deviation = find_end(self._step(self._here + before, self.last.carried)) - end
             if not np.all(np.abs(deviation) < BOUND):
                 return
             yield weight * before, deviation
@@ -127,13 +127,8 @@ class Surroundings:
         pair, carried, apart = [self._here, self._here + beside], [self.last.carried] * 2, []
         for _ in range(_FOLLOWED):
             periods = [self._step(*each) for each in zip(pair, carried, strict=True)]
-            pair, carried = [_end(period) for period in periods], [period.carried for period in periods]
+            pair, carried = [find_end(period) for period in periods], [period.carried for period in periods]
             apart.append(np.linalg.norm(energy * (pair[1] - pair[0])))
             if not apart[0] / _FALLEN < apart[-1] < apart[0] * _FAR:
                 break
         return bool(apart[-1] > _GROWN * apart[0])
-
-
-def _end(period: Period) -> RealArray:
-    """State ``(2 n',)`` at a period's end."""
-    return np.concatenate([period.positions[-1], period.velocities[-1]])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ewr_fenicsx.given import ComplexArray, RealArray
 from ewr_fenicsx.laws.law_kinds import Law
 from ewr_fenicsx.model.compliance import DynamicCompliance
@@ -36,6 +38,14 @@ class ContactSystem(Layout):
     def closures(self) -> tuple[str, ...]:
         """What closes the truncation at any pair, but for weights: ``"masses"``, ``"springs"``, both or neither."""
         return tuple(sorted({law.closes for law in self.laws} - {""}))
+
+    @property
+    def stick_flexibility(self) -> RealArray:
+        """``(m,)`` how much the law of each row gives way by itself before it slips or opens [m/N]."""
+        own = np.zeros(len(self.rows))
+        for law in self.laws:
+            own[self.row_of(law.direction, law.pairs)] = law.stick_flexibility
+        return own
 
     @property
     def highest_given(self) -> int:

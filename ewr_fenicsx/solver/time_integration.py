@@ -14,7 +14,7 @@ from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
 from ewr_fenicsx.in_time.lifting import lift_out
-from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, tell_walk
+from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, find_end, tell_walk
 from ewr_fenicsx.in_time.surroundings import Surroundings
 from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
@@ -336,7 +336,7 @@ def integrate(
     with count_progress("time stepping, periods", periods, progress) as report:
         for _ in range(periods):
             last = step(here, carried)
-            end, carried = np.concatenate([last.positions[-1], last.velocities[-1]]), last.carried
+            end, carried = find_end(last), last.carried
             sweeps_taken, unsolved = sweeps_taken + last.sweeps, unsolved + last.unsolved
             watch.record(last)
             if not np.all(np.abs(end) < BOUND):

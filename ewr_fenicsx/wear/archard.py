@@ -50,11 +50,7 @@ def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> R
     if not pairs.size:
         return decay
     rows = system.row_of("normal", pairs)
-    own = np.zeros(problem.model.pairs)  # of what gives way between the bodies
-    for law in system.laws:
-        if law.direction == "normal":
-            own[law.pairs] = law.stick_flexibility
-    flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)] + np.diag(own[pairs])
+    flexibility = system.compliance.flexibility[0].real[np.ix_(rows, rows)] + np.diag(system.stick_flexibility[rows])
     G = system.compliance.rigid_motion[rows]
     free = scipy.linalg.null_space(G.T) if G.shape[1] else np.eye(rows.size)  # force changes that are balanced
     bends = free.T @ flexibility @ free

@@ -184,7 +184,7 @@ class Asperities(Law):
 
     def fields(self, motion: Motion) -> dict[str, np.ndarray]:
         gap = motion.displacement["normal"] + self.initial_gap
-        return {"gap": gap, "admissible_normal_force": np.maximum(0, -self.asperities * gap), "open": gap >= 0}
+        return {"admissible_normal_force": np.maximum(0, -self.asperities * gap), "open": gap >= 0}
 
 
 def test_a_law_that_gives_way_by_itself_takes_the_load_from_what_wears_as_slowly():
