@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-from ewr_fenicsx.in_time.time_stepping import UNILATERAL, State, TimeScheme
+from ewr_fenicsx.in_time.compiled_loop import UNILATERAL
+from ewr_fenicsx.in_time.time_stepping import State, TimeScheme
 
 _ROUNDING = 1e-12  # of what makes up a gap
 

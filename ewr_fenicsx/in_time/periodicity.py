@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.in_time.time_stepping import FRICTION, Period, TimeScheme
+from ewr_fenicsx.in_time.compiled_loop import FRICTION
+from ewr_fenicsx.in_time.time_stepping import Period, TimeScheme
 
 # A motion that hardly oscillates is judged by something larger: by its mean (a body at rest is steady), by the modal
 # motions that cancel in it, of which it may be the rounding (a pair that sticks does not slip), by what it would be if

@@ -18,8 +18,9 @@ from functools import cached_property
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.in_time.compiled_loop import FRICTION
 from ewr_fenicsx.in_time.periodicity import Anderson, find_end
-from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Carried, Period, TimeScheme
+from ewr_fenicsx.in_time.time_stepping import BOUND, Carried, Period, TimeScheme
 
 # Differences of states above a share of the oscillation tell; apart from each other by some others (each misses what
 # another one sees); multipliers from which on it is looked what becomes of a small one: whether it grows by a factor,

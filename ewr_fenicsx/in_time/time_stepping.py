@@ -1,4 +1,4 @@
-"""One step in time of a contact system, and the compiled loop over a period.
+"""One step in time of a contact system.
 
 Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - theta) x_k + theta x_(k+1)``::
 
@@ -7,7 +7,7 @@ Moreau's scheme, in velocities ``v`` and impulses ``p``, with ``x_theta = (1 - t
     |p_T| <= mu p_N, slip v_T opposes p_T                                  the true cone; in 3-D both are in a plane
 
 With ``A = M + theta dt D + (theta dt)^2 K`` this is ``v_(k+1) = v_free + A^-1 B^T p``, and the contact conditions see
-only ``B v_free + W p``, ``W = B A^-1 B^T``: projected Gauss-Seidel, pair by pair, started from the last two impulses.
+only ``B v_free + W p``, ``W = B A^-1 B^T``: ``compiled_loop`` solves for the impulses.
 M and K are diagonalised together: with a damping that the modes diagonalise too, a step costs two products of size rows
 x coordinates beside the contact solve. With 1/2, modes without mass, or far too fast for the step, would ring from step
 to step for ever: they have a ``theta`` of their own, and follow impulses extrapolated to it, from the last two steps:
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from numbers import Real
 from typing import NamedTuple
 
@@ -31,11 +31,11 @@ import scipy.linalg
 
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import ComplexArray, RealArray, is_whole
+from ewr_fenicsx.in_time.compiled_loop import BILATERAL, FRICTION, UNILATERAL, compile_loop
 from ewr_fenicsx.laws.law_kinds import spread_over_pairs
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.problem.harmonics import sample_amplitudes
 
-UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 BOUND = 1e100  # a motion past this grows without bound: its squares would soon overflow
 _KNOWN = {"normal": ("unilateral", "bonded", "prescribed"), "tangential": ("coulomb", "frictionless", "bonded")}
 # A mode whose mass makes up no more than this share of what resists it in a step (mass, and stiffness over the step) is
@@ -259,142 +259,8 @@ class TimeScheme:
         return Period(positions, velocities, impulses, taken, unsolved, ends)
 
 
-def step_through_period(
-    theta, thetas, dt, keep, pull, keep_dense, pull_dense, velocity_of_load, rows, push, echo, echoes, delassus_columns,
-    order, kind, partner, twin, friction, initial_gap, given_limit, p, late, tolerance, most_sweeps,
-    positions, velocities, impulses,
-):  # fmt: skip
-    """The loop that ``compile_loop`` compiles: fills the last three arguments, returns sweeps and unsolved steps.
-
-    ``p`` and ``late`` are what is carried, and what the next period takes over in the end.
-
-    ``order`` lists the rows one after the other, but for second tangents under friction: those are solved for together
-    with their ``twin``, the first one. Where the pair does not stick, one step of projected gradient has to do.
-
-    A gap counts what is late, and what sticks makes up for it in the next step: else it would creep, and damp what it
-    holds.
-    """
-    steps, m = impulses.shape
-    n = positions.shape[1]
-    dense = keep_dense.shape[0] > 0
-    fast = np.flatnonzero(thetas != theta)
-    x, v = positions[0].copy(), velocities[0].copy()
-    free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
-    echoed = np.zeros(echoes.size)
-    u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
-    if m > 0:
-        np.dot(rows, v, u)
-        np.dot(rows, x, gap)
-        gap += initial_gap
-    largest = np.max(np.abs(p)) if m > 0 else 0.0
-    taken, unsolved = 0, 0
-    for k in range(steps):
-        if dense:
-            np.dot(keep_dense, v, free)
-            np.dot(pull_dense, x, other)
-            for i in range(n):
-                free[i] += other[i] + velocity_of_load[k, i]
-        else:
-            for i in range(n):
-                free[i] = keep[i] * v[i] + pull[i] * x[i] + velocity_of_load[k, i]
-        if m > 0:
-            np.dot(echo, p, echoed)
-            for i in range(echoes.size):
-                free[echoes[i]] -= echoed[i]
-            if k > 1:  # the contact forces are mostly smooth: a line through the last two saves a quarter of the sweeps
-                p[:] = 2.0 * impulses[k - 1] - impulses[k - 2]
-            np.dot(rows, free, u_end)
-            for i in range(m):
-                if p[i] != 0.0:
-                    for j in range(m):
-                        u_end[j] += delassus_columns[i, j] * p[i]
-            solved = False
-            for _ in range(most_sweeps):
-                taken += 1
-                change = 0.0
-                for i in order:
-                    t = twin[i]
-                    new_t = 0.0
-                    if kind[i] == FRICTION:
-                        limit = friction[i] * max(0.0, p[partner[i]]) if partner[i] >= 0 else given_limit[k, i]
-                        if t < 0:
-                            new = min(limit, max(-limit, p[i] - (u_end[i] + late[i]) / delassus_columns[i, i]))
-                        else:
-                            ii, it = delassus_columns[i, i], delassus_columns[t, i]
-                            ti, tt = delassus_columns[i, t], delassus_columns[t, t]
-                            determinant = ii * tt - it * ti
-                            sticks = determinant > 1e-12 * ii * tt
-                            if sticks:
-                                new = p[i] - (tt * (u_end[i] + late[i]) - it * (u_end[t] + late[t])) / determinant
-                                new_t = p[t] - (ii * (u_end[t] + late[t]) - ti * (u_end[i] + late[i])) / determinant
-                                sticks = np.hypot(new, new_t) <= limit
-                            if not sticks:
-                                most = 0.5 * (ii + tt) + np.hypot(0.5 * (ii - tt), 0.5 * (it + ti))
-                                new, new_t = p[i] - (u_end[i] + late[i]) / most, p[t] - (u_end[t] + late[t]) / most
-                                size = np.hypot(new, new_t)
-                                if size > limit:
-                                    new, new_t = new * limit / size, new_t * limit / size
-                    else:
-                        new = p[i] - (u_end[i] + gap[i] / dt) / delassus_columns[i, i]
-                        if kind[i] == UNILATERAL:
-                            new = max(0.0, new)
-                    for row, value in ((i, new), (t, new_t)):
-                        step = value - p[row] if row >= 0 else 0.0
-                        if step != 0.0:
-                            p[row] = value
-                            for j in range(m):
-                                u_end[j] += delassus_columns[row, j] * step
-                            change = max(change, abs(step))
-                            largest = max(largest, abs(value))
-                if change <= tolerance * largest:
-                    solved = True
-                    break
-            if not solved:
-                unsolved += 1
-            np.dot(push, p, push_of_p)
-            for i in range(m):
-                gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
-                u[i] = u_end[i]
-                impulses[k, i] = p[i]
-                late[i] = 0.0
-            for j in fast:
-                more = (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
-                for i in range(m):
-                    late[i] += rows[i, j] * more
-            for i in range(m):
-                gap[i] += dt * late[i]
-        for i in range(n):
-            end = free[i] + push_of_p[i]
-            x[i] += dt * (thetas[i] * end + (1 - thetas[i]) * v[i])
-            v[i] = end
-            positions[k + 1, i] = x[i]
-            velocities[k + 1, i] = v[i]
-    return taken, unsolved
-
-
 def to_amplitudes(values: RealArray, orders: Sequence[int]) -> ComplexArray:
     """One-sided complex amplitudes ``(n_h, m)`` of values over a period at equal intervals, ``(steps, m)``."""
     kept = np.array(orders)
     spectrum = np.fft.fft(values, axis=0) / len(values)
     return np.where(kept == 0, 1.0, 2.0)[:, None] * spectrum[kept % len(values)]
-
-
-@cache
-def compile_loop():
-    """``step_through_period`` as machine code: a few seconds the first time on a machine, then read from numba's cache.
-
-    Raises:
-        ImportError: numba is missing.
-    """
-    try:
-        import numba
-    except ImportError as missing:
-        raise ImportError("time integration needs numba; install Debian's python3-numba") from missing
-    vector, matrix, index = "f8[::1]", "f8[:,::1]", "i8[::1]"
-    arguments = ["f8", vector, "f8", vector, vector, *[matrix] * 6, index, matrix, *[index] * 4, vector, vector, matrix]
-    arguments += [vector, vector, "f8", "i8"]
-    signature = f"UniTuple(i8,2)({','.join(arguments + [matrix] * 3)})"  # given: compiled now, not within a timed run
-    try:
-        return numba.njit(signature, cache=True)(step_through_period)
-    except RuntimeError:  # neither the package nor the home directory can be written: nowhere to keep the cache
-        return numba.njit(signature)(step_through_period)

@@ -13,10 +13,11 @@ import numpy as np
 from ewr_fenicsx.balance.periodic_motion import SECOND
 from ewr_fenicsx.errors import ModelError, nearest
 from ewr_fenicsx.given import ComplexArray, RealArray, is_positive, is_whole
+from ewr_fenicsx.in_time.compiled_loop import FRICTION, compile_loop
 from ewr_fenicsx.in_time.lifting import lift_out
 from ewr_fenicsx.in_time.periodicity import Anderson, Watch, count_missing, fades, find_end, tell_walk
 from ewr_fenicsx.in_time.surroundings import Surroundings
-from ewr_fenicsx.in_time.time_stepping import BOUND, FRICTION, Period, State, TimeScheme, compile_loop, to_amplitudes
+from ewr_fenicsx.in_time.time_stepping import BOUND, Period, State, TimeScheme, to_amplitudes
 from ewr_fenicsx.model.restriction import find_bond_forces
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.progress import count_progress

@@ -15,7 +15,7 @@ from small_models import block_on_feet, friction_oscillator, random_structure
 from ewr_fenicsx import ContactLaws, ContactProblem, integrate, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.in_time import time_stepping
+from ewr_fenicsx.in_time import compiled_loop
 from ewr_fenicsx.laws.law_kinds import TANGENTS, Motion
 from ewr_fenicsx.laws.planar_coulomb import PlanarCoulomb
 from ewr_fenicsx.output.output import contact_fields, write_pairs
@@ -139,7 +139,7 @@ def test_dashpots_close_the_truncation_whatever_is_asked_for():
 def test_the_compiled_loop_is_the_loop_that_is_read_in_a_plane_too(monkeypatch):
     problem = ride_in_grooves(7).problem
     compiled = integrate(problem, steps=20, periods=2, tolerance=0)
-    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
+    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: compiled_loop.step_through_period)
     plain = integrate(problem, steps=20, periods=2, tolerance=0)
     assert plain.last.sweeps == compiled.last.sweeps
     np.testing.assert_allclose(plain.last.impulses, compiled.last.impulses, rtol=1e-9, atol=1e-12)

@@ -32,8 +32,8 @@ ORDER = {
         "petsc_calls", "law_derivatives", "elimination", "newton_step", "balance", "inexact_step", "periodic_motion",
     ],
     "in_time": [
-        "time_stepping", "lifting", "periodicity", "surroundings", "followed_modes", "deviations", "hill", "floquet",
-        "ring_growth", "stability", "walking",
+        "compiled_loop", "time_stepping", "lifting", "periodicity", "surroundings", "followed_modes", "deviations",
+        "hill", "floquet", "ring_growth", "stability", "walking",
     ],
     "solution": [
         "loading_history", "indicators", "solution", "solution_series", "remedies", "contact_state", "symmetry",

@@ -12,7 +12,7 @@ from small_models import bar_against_wall, dovetail, lift_off_oscillator
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
-from ewr_fenicsx.in_time import time_stepping
+from ewr_fenicsx.in_time import compiled_loop, time_stepping
 from ewr_fenicsx.in_time.time_stepping import State, TimeScheme
 from ewr_fenicsx.solver.time_integration import integrate, resample
 
@@ -73,7 +73,7 @@ def test_dense_path_takes_the_same_steps_as_the_diagonal_one(monkeypatch):
 def test_compiled_loop_is_the_loop_that_is_read(monkeypatch):
     problem = pose(chain_of(2))
     compiled = integrate(problem, steps=20, periods=2, tolerance=0)
-    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: time_stepping.step_through_period)
+    monkeypatch.setattr("ewr_fenicsx.in_time.time_stepping.compile_loop", lambda: compiled_loop.step_through_period)
     plain = integrate(problem, steps=20, periods=2, tolerance=0)
     assert plain.last.sweeps == compiled.last.sweeps
     assert plain.last.impulses == pytest.approx(compiled.last.impulses, rel=1e-9, abs=1e-12)
