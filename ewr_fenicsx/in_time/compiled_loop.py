@@ -16,6 +16,8 @@ import numpy as np
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 SLOW, WINDOW = 10, 8  # sweeps from which on they are extrapolated, and so many that this looks back on
 STRAYED, ROUNDING = 4.0, 1e-10  # times the square of a change before, from which on it starts anew; rounding in it
+HUGE = 1e200  # square of changes, above which nothing is extrapolated
+HUGE = 1e200
 
 
 def step_through_period(
@@ -169,8 +171,9 @@ def extrapolate(known, changed, p, u_end, last, differences, overlap):
         overlap[at, :used] = np.dot(differences[0, :used], differences[0, at])
         overlap[:used, at] = overlap[at, :used]
     last[0], last[1], last[2] = changed, p, u_end
-    if used > 0:
-        normal = overlap[:used, :used] + ROUNDING * np.trace(overlap[:used, :used]) * np.eye(used)
+    trace = np.trace(overlap[:used, :used])
+    if 0.0 < trace < HUGE:  # else sweeps change all by the same, or a motion grows without bound
+        normal = overlap[:used, :used] + ROUNDING * trace * np.eye(used)
         shares = np.linalg.solve(normal, np.dot(differences[0, :used], changed))
         p -= np.dot(shares, differences[1, :used])
         u_end -= np.dot(shares, differences[2, :used])

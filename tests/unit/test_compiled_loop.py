@@ -44,6 +44,18 @@ def test_extrapolation_solves_a_linear_map_once_it_looks_back_on_its_dimension()
     assert after < 1e-4 < 1e-2 < before
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-200, 1e150])
+def test_extrapolation_leaves_what_changes_evenly_or_grows_without_bound(size):
+    m = 4
+    last, differences, overlap = np.zeros((3, m)), np.zeros((3, WINDOW, m)), np.zeros((WINDOW, WINDOW))
+    known, even = -1, size == 1.0
+    for k in range(1, 4):
+        p, u = np.full(m, k * size), np.full(m, -k * size)
+        known = extrapolate(known, np.full(m, size if even else k * size), p, u, last, differences, overlap)
+        assert np.all(p == k * size) and np.all(u == -k * size)
+    assert known == 2
+
+
 def test_pairs_that_stick_and_move_one_another_take_few_sweeps():
     """Their impulses are known: those that hold all pairs where they are."""
     result = integrate(press_a_strip(30, 5.0), steps=50, periods=1, tolerance=0, contact_tolerance=1e-11)
