@@ -17,7 +17,6 @@ UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 SLOW, WINDOW = 10, 8  # sweeps from which on they are extrapolated, and so many that this looks back on
 STRAYED, ROUNDING = 4.0, 1e-10  # times the square of a change before, from which on it starts anew; rounding in it
 HUGE = 1e200  # square of changes, above which nothing is extrapolated
-HUGE = 1e200
 
 
 def step_through_period(
