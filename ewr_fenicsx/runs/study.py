@@ -63,8 +63,8 @@ class Study:
 
 
 def can_resume(scene: Scene) -> bool:
-    """Whether a scene's study goes on from where it was interrupted; one that may raise its modes on the way cannot."""
-    return len(scene.frequencies) > 1 or (scene.wear is not None and scene.solver.accuracy is None)
+    """Whether a scene's study goes on from where it was interrupted."""
+    return len(scene.frequencies) > 1 or scene.wear is not None
 
 
 def run_study(chain: Chain, progress: Progress | None = None, work: Path | None = None) -> Study:

@@ -29,7 +29,7 @@ from ewr_fenicsx.solution.solution_series import SolutionSeries
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
-from ewr_fenicsx.wear.wear_store import Leap, WearFile, WearStep
+from ewr_fenicsx.wear.wear_store import Leap, TriedModels, WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
 
 WORTH = 10.0  # seconds of work that are worth a new version of the file
@@ -229,13 +229,14 @@ def evolve_wear(
         accuracy: As in ``solve_to_accuracy``: harmonics, samples and weights are chosen for the unworn joint, looked at
             again at every step that is kept, and raised where they no longer do. None: those of the problem.
         progress: Whether to show how many cycles are done and how long the rest will take.
-        choice: Further arguments of ``solve_to_accuracy``, where an accuracy is asked for.
+        choice: Further arguments of ``solve_to_accuracy``, where an accuracy is asked for. Of a run that goes on from
+            its ``file``, ``more_modes`` makes the same models again.
 
     Returns:
         Cycles, worn depths and solutions at the steps that are kept.
 
     Raises:
-        ModelError: No pair can wear; or a number makes no sense; or more modes in a run that is to be resumed.
+        ModelError: No pair can wear; or a number makes no sense.
         NotConverged, UnheldBody: The unworn joint has no solution. A worn one that has none ends the history.
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
@@ -258,16 +259,14 @@ def evolve_wear(
     if not (jump is None or isinstance(jump, Tolerance)):
         raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
     _check_choice(choice, accuracy)
-    store = None
+    store, more = None, choice.pop("more_modes", None)
+    models = TriedModels(problem, choice.get("modes", ()), more)
     if file is not None:
-        if choice.get("more_modes"):
-            raise ModelError(
-                "file: a resumed run would not know of more_modes; raise the modes before, or give no file"
-            )
         stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, choice)
-        store = WearFile(Path(file), stated, problem)
+        store = WearFile(Path(file), stated, models)
     state = store.read() if store else None
-    judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice)
+    choice.pop("modes", None)
+    judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice, models)
     run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     if store and (state is None or not run.is_done(state)):
         check_place(store.path)

@@ -21,7 +21,7 @@ from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.weights import adopt_weights
 from ewr_fenicsx.wear.archard import SAMPLES, measure_wear_rate
-from ewr_fenicsx.wear.wear_store import WearStep
+from ewr_fenicsx.wear.wear_store import TriedModels, WearStep
 
 
 class AccurateWear:
@@ -31,7 +31,8 @@ class AccurateWear:
         problem: The unworn problem; weights that it gives are kept.
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
         accuracy, tolerance: As in ``solve_to_accuracy``.
-        choice: Further arguments of ``solve_to_accuracy``: modes, what limits them, highest harmonic.
+        choice: Further arguments of ``solve_to_accuracy``: what limits modes, highest harmonic.
+        models: The joint's models with their modes.
     """
 
     def __init__(
@@ -41,9 +42,10 @@ class AccurateWear:
         accuracy: float,
         tolerance: float,
         choice: Mapping[str, object],
+        models: TriedModels,
     ):
         self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
-        self.choice = dict(choice)
+        self.choice, self.models = choice, models
 
     def begin(self, depth: RealArray) -> WearStep:
         """The first step, with as many harmonics as it takes.
@@ -51,25 +53,26 @@ class AccurateWear:
         Raises:
             NotConverged: The joint has no solution.
         """
-        found, modes = self._solve(replace(self.problem, wear=depth), None, None)
-        return self._take(WearStep(0, depth, depth, found.solution), found, modes)
+        found = self._solve(replace(self.problem, wear=depth), None, None)
+        return self._take(WearStep(0, depth, depth, found.solution), found)
 
     def look_at(self, step: WearStep) -> WearStep:
         """A step with its estimated error; where that exceeds the accuracy, with the solution of one that does not.
 
         Where nothing more accurate is found, the step stays as it is, and its estimate says so.
         """
-        estimate = estimate_errors(step.solution, self.choice.get("modes", ()), self._judged_rate).total
+        modes = self.models.modes_of(step.solution.problem.model)
+        estimate = estimate_errors(step.solution, modes, self._judged_rate).total
         if estimate <= self.accuracy:
             return replace(step, estimate=estimate)
         posed = adopt_weights(step.solution.problem, self.problem)
         try:
-            found, modes = self._solve(posed, step.solution, step.solution.orders[-1])
+            found = self._solve(posed, step.solution, step.solution.orders[-1])
         except NotConverged:
             return replace(step, estimate=estimate)
         if found.estimate.total >= estimate:
             return replace(step, estimate=estimate)
-        return self._take(step, found, modes)
+        return self._take(step, found)
 
     def _rate(self, solution: PeriodicSolution) -> RealArray:
         return measure_wear_rate(solution, self.coefficient)
@@ -83,25 +86,24 @@ class AccurateWear:
         passed = np.mean(force / solution.problem.model.areas * solution.sliding_speed(SAMPLES), axis=0)
         return self.coefficient * period * passed
 
-    def _solve(
-        self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None
-    ) -> tuple[AccurateSolution, Sequence[int]]:
-        """What was found, and which coordinates of its model are modal: on models tried with more there may be none."""
-        choice, depth = dict(self.choice), problem.wear
-        modes_of = {problem.model: choice.get("modes", ())}
-        if more := choice.get("more_modes"):
+    def _solve(self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None) -> AccurateSolution:
+        models, depth = self.models, problem.wear
 
-            def keep_more(count: int) -> tuple[ContactProblem, Sequence[int]]:
-                unworn, modes = more(count)
-                modes_of[unworn.model] = modes
-                return replace(unworn, wear=depth), modes
+        def keep_more(count: int) -> tuple[ContactProblem, Sequence[int]]:
+            unworn, modes = models.keep_more(count)
+            return replace(unworn, wear=depth), modes
 
-            choice["more_modes"] = keep_more
-        found = solve_to_accuracy(
-            problem, self.accuracy, start, self.tolerance, first=first, figure=self._judged_rate, **choice
+        return solve_to_accuracy(
+            problem,
+            self.accuracy,
+            start,
+            self.tolerance,
+            first=first,
+            figure=self._judged_rate,
+            modes=models.modes_of(problem.model),
+            more_modes=keep_more if models.more else None,
+            **self.choice,
         )
-        return found, modes_of[found.solution.problem.model]
 
-    def _take(self, step: WearStep, found: AccurateSolution, modes: Sequence[int]) -> WearStep:
-        self.choice["modes"] = modes
+    def _take(self, step: WearStep, found: AccurateSolution) -> WearStep:
         return replace(step, rate=self._rate(found.solution), solution=found.solution, estimate=found.estimate.total)

@@ -18,13 +18,16 @@ from counted_calls import count_calls
 from mpi4py import MPI
 from small_scenes import write_blocks
 
+from ewr_fenicsx import load_scene
 from ewr_fenicsx.accuracy import estimates
 from ewr_fenicsx.cli import main, stop_together
 from ewr_fenicsx.output.result_folder import hold_target
 from ewr_fenicsx.response import frequency_sweep
-from ewr_fenicsx.runs.study import UNSEEN
+from ewr_fenicsx.runs.study import UNSEEN, run_study
 from ewr_fenicsx.solution import solution
+from ewr_fenicsx.structure.chain import build_chain
 from ewr_fenicsx.wear import cycle_jumps
+from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 
 write_scene = partial(write_blocks, "[contact]\nfriction = 0.1", shake=150.0, solver="harmonics = 1")
 STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table
@@ -36,6 +39,7 @@ STUDIES = {  # scene, what is interrupted and counted, its calls unbroken, table
         "frequency_response.csv",
     ),
 }
+ACCURATE_WEAR = write_scene("[wear]\ncycles = 12", solver="accuracy = 0.02\n[reduction]\nmodes = 2")
 
 
 @pytest.fixture
@@ -79,6 +83,27 @@ def test_an_interrupted_run_goes_on(ewr, scene, tmp_path, monkeypatch, study):
     assert (tmp_path / "broken" / table).read_bytes() == (tmp_path / "unbroken" / table).read_bytes()
     one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
     assert (one["solution"], one["files"], one[study]) == (two["solution"], two["files"], two[study])
+
+
+def test_interrupted_wear_with_an_accuracy_goes_on_with_the_modes_that_it_raised(ewr, scene, tmp_path, monkeypatch):
+    """It began anew, however many cycles were done."""
+    scene.write_text(ACCURATE_WEAR)
+    with monkeypatch.context() as patch:
+        count_calls(patch, cycle_jumps, "solve_from", 4)
+        code, told = ewr()
+    assert code == 130 and told.endswith("and the same command goes on from there\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(AccurateWear, "begin", lambda *_: pytest.fail("begun anew"))
+        calls = count_calls(patch, cycle_jumps, "solve_from")
+        assert ewr()[0] == 0
+    with monkeypatch.context() as patch:
+        unbroken = count_calls(patch, cycle_jumps, "solve_from")
+        assert ewr(out="unbroken")[0] == 0
+    assert len(calls) == len(unbroken) - 4
+    assert (tmp_path / "broken" / "wear.csv").read_bytes() == (tmp_path / "unbroken" / "wear.csv").read_bytes()
+    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
+    assert len(one["model"]["fixed_interface_frequencies_Hz"]) > 2, "or no modes were raised"
+    assert all(one[name] == two[name] for name in ("model", "solution", "files", "wear", "accuracy"))
 
 
 @pytest.mark.parametrize("study", STUDIES)
@@ -247,19 +272,19 @@ def test_a_solution_outlives_the_look_at_its_stability(ewr, scene, tmp_path, mon
     assert one.get("estimate") is None
 
 
-def test_wear_of_which_no_work_is_kept_outlives_the_look_at_its_stability(ewr, scene, tmp_path, monkeypatch):
-    """With an accuracy, under which no run goes on; where the motion is unstable, many solutions are looked at."""
+def test_wear_of_which_no_work_is_kept_outlives_the_look_at_its_stability(scene, monkeypatch):
+    """In Python; where the motion is unstable, many solutions are looked at."""
     scene.write_text(write_scene("[wear]\ncycles = 3", solver="accuracy = 0.1"))
+    chain = build_chain(load_scene(scene))
     with monkeypatch.context() as patch:
         count_calls(patch, solution, "find_growth", 0)
-        code, told = ewr()
-    assert code == 130
-    assert told.endswith("broken, without a look at what speaks against them\n")
-    assert ewr(out="unbroken")[0] == 0
-    one, two = (json.loads((tmp_path / out / "summary.json").read_text()) for out in ("broken", "unbroken"))
-    assert one["wear"].pop("reservations_of_first_solve") == one["solution"].pop("cautions") == [UNSEEN]
-    two["wear"].pop("reservations_of_first_solve"), two["solution"].pop("cautions")
-    assert all(one[name] == two[name] for name in ("wear", "solution", "files", "accuracy"))
+        broken = run_study(chain)
+    unbroken = run_study(chain)
+    assert broken.cut_short == "a look at what speaks against them" and not unbroken.cut_short
+    assert UNSEEN in broken.told and UNSEEN not in unbroken.told
+    one, two = ({**study.facts["wear"]} for study in (broken, unbroken))
+    assert one.pop("reservations_of_first_solve") == [UNSEEN] != two.pop("reservations_of_first_solve")
+    assert one == two
 
 
 @pytest.mark.parametrize("study", STUDIES)

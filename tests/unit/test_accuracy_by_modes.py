@@ -6,15 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from small_models import lift_off_oscillator, random_structure
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve, solve_to_accuracy
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, evolve_wear, solve, solve_to_accuracy
 from ewr_fenicsx.accuracy import levels
 from ewr_fenicsx.accuracy.estimates import estimate_errors, estimate_modes, measure_distance
 from ewr_fenicsx.accuracy.modes_left_out import ModesBesideResponses, correct_inertia
 from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.model.restriction import restrict, solve_stuck
+from ewr_fenicsx.wear import cycle_jumps
+from ewr_fenicsx.wear.wear import WearHistory
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
+from ewr_fenicsx.wear.wear_store import TriedModels
 
 
 def structure_with_modes(*stiffness: float) -> ReducedModel:
@@ -196,8 +200,7 @@ def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(
         return ContactProblem(model, ContactLaws(friction=0.2), 0.05), range(6, 6 + count)
 
     problem, modes = keep(1)
-    choice = {"modes": modes, "more_modes": keep, "most_modes": 1}
-    judge = AccurateWear(problem, np.full(2, 1e-6), 0.1, 1e-8, choice)
+    judge = AccurateWear(problem, np.full(2, 1e-6), 0.1, 1e-8, {"most_modes": 1}, TriedModels(problem, modes, keep))
     fresh = judge.begin(np.zeros(2))
     assert fresh.estimate > 0.1, "or there is no need for more"
     find = levels.solve
@@ -215,3 +218,32 @@ def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(
         assert looked_at.estimate == estimate_errors(looked_at.solution, modes, judge._rate).total > 0.1
     monkeypatch.undo()
     assert judge.look_at(fresh).estimate <= 0.1 and asked[-1] == 8
+
+
+def test_wear_to_an_accuracy_goes_on_with_the_modes_that_it_raised(tmp_path, monkeypatch):
+    """Its file, of models that are made again, is that of an unbroken run to the last byte."""
+    full, asked = structure_with_modes(0.5, 1.0, 1.5, 2.0, 1e5, 2e5, 3e5, 4e5), []
+
+    def keep(count: int) -> tuple[ContactProblem, range]:
+        asked.append(count)
+        model = drop_modes(full, range(6 + count, 14))
+        return ContactProblem(model, ContactLaws(friction=0.2), 0.05), range(6, 6 + count)
+
+    def run(name: str) -> WearHistory:
+        problem, modes = keep(1)
+        asked.clear()
+        choice = {"accuracy": 0.05, "modes": modes, "more_modes": keep, "most_modes": 8}
+        return evolve_wear(problem, 6, 1e-4, file=tmp_path / name, progress=False, **choice)
+
+    whole = run("whole.h5")
+    assert asked == [2, 4, 8] and len({step.problem.model for step in whole.solutions}) == 1
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, cycle_jumps, "solve_from", 3)
+        run("broken.h5")
+    with monkeypatch.context() as patch:
+        calls = count_calls(patch, cycle_jumps, "solve_from")
+        history = run("broken.h5")
+    assert asked == [2, 4, 8] and len(calls) == 3, "the models, and what was left to solve"
+    assert history.solutions[-1].problem.model.size == 14
+    np.testing.assert_array_equal(history.depth, whole.depth)
+    assert (tmp_path / "broken.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()

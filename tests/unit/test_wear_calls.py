@@ -16,7 +16,7 @@ from ewr_fenicsx.runs.findings import list_facts_of_wear, tell_wear
 from ewr_fenicsx.wear import cycle_jumps
 from ewr_fenicsx.wear.archard import measure_wear_rate
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
-from ewr_fenicsx.wear.wear_store import Leap, WearStep
+from ewr_fenicsx.wear.wear_store import Leap, TriedModels, WearStep
 
 WEAR = 1e-10
 
@@ -283,17 +283,15 @@ def test_what_an_accuracy_of_wear_cannot_mean():
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, higest=9)
     with pytest.raises(ModelError, match="figure: no argument of evolve_wear"):
         evolve_wear(pose(), 5, WEAR, accuracy=0.1, figure=print)
-    with pytest.raises(ModelError, match="a resumed run would not know of more_modes"):
-        evolve_wear(pose(), 5, WEAR, accuracy=0.1, file="wear.h5", more_modes=print)
 
 
 def test_weights_of_the_problem_are_kept_where_wear_is_judged_anew():
     """A solution that was found with default weights only is left, and not for good."""
     problem = replace(pose(), rho_normal=1e6, rho_tangential=50.0)
-    judge = AccurateWear(problem, np.full(6, WEAR), 1e-6, 1e-8, {"highest": 6})
+    judge = AccurateWear(problem, np.full(6, WEAR), 1e-6, 1e-8, {"highest": 6}, TriedModels(problem))
     went_back = solve(replace(problem, rho_normal=None, rho_tangential=None))
     asked = []
-    judge._solve = lambda posed, start, first: asked.append(posed) or (solve_to_accuracy(posed, 0.5), ())
+    judge._solve = lambda posed, start, first: asked.append(posed) or solve_to_accuracy(posed, 0.5)
     judge.look_at(WearStep(0, np.zeros(6), np.zeros(6), went_back))
     assert [(posed.rho_normal, posed.rho_tangential) for posed in asked] == [(1e6, 50.0)]
 
