@@ -95,7 +95,16 @@ def _check_option(name: str, value: str | None) -> None:
 
 
 def _list_options() -> dict[str, str | None]:
-    """Options that are looked at here, from wherever PETSc has them; None is no value."""
+    """Options that are looked at here, from wherever PETSc has them; None is no value.
+
+    Raises:
+        OptionError: Some are not UTF-8, as which petsc4py reads all of them.
+    """
     options = PETSc.Options()
-    names = {name: value for name, value in options.getAll().items() if name.startswith("ewr_") or name in _KINDS}
+    try:
+        known = options.getAll()
+    except UnicodeDecodeError as error:
+        shown = error.object.decode(errors="backslashreplace").strip()
+        raise OptionError(f"options for PETSc are not UTF-8: {shown}; see PETSC_OPTIONS and .petscrc") from error
+    names = {name: value for name, value in known.items() if name.startswith("ewr_") or name in _KINDS}
     return {name: None if value is None else options.getString(name) for name, value in names.items()}

@@ -277,6 +277,17 @@ def test_options_with_which_petsc_does_not_start_are_told(tmp_path):
     assert "\newr: PETSc does not start, for the reason above; options given: -options_file none; " in done.stderr
 
 
+def test_options_in_another_encoding_are_told(tmp_path):
+    """As in a file that an old editor wrote; petsc4py reads them as UTF-8, those of others as well."""
+    (tmp_path / "scene.toml").write_text(write_blocks())
+    (tmp_path / ".petscrc").write_bytes("-log_view :andré.txt\n".encode("latin-1"))
+    command = [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 2
+    told = r"ewr: options for PETSc are not UTF-8: -log_view :andr\xe9.txt; see PETSC_OPTIONS and .petscrc"
+    assert told in done.stderr.splitlines()
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
