@@ -38,17 +38,15 @@ def share_tasks(
     mine: dict[int, Result] = {}
     error: Exception | None = None
     take = _Counter(comm)
-    try:
-        while error is None and (k := take(1)) < len(tasks):
-            try:
-                if report:
-                    report(max(len(mine), k - (comm.size - 1)))  # the other ranks are at one each
-                mine[k] = work(tasks[k])
-            except Exception as caught:
-                error = caught
-                take(len(tasks))  # nobody need begin another
-    finally:
-        take.free()
+    while error is None and (k := take(1)) < len(tasks):
+        try:
+            if report:
+                report(max(len(mine), k - (comm.size - 1)))  # the other ranks are at one each
+            mine[k] = work(tasks[k])
+        except Exception as caught:
+            error = caught
+            take(len(tasks))  # nobody need begin another
+    take.free()  # not where this is interrupted: it waits for the other ranks, which would do all the tasks first
     _raise_together(error, comm)
     done = {k: result for results in comm.allgather(mine) for k, result in results.items()}
     return [done[k] for k in range(len(tasks))]

@@ -42,6 +42,26 @@ for fails in (
         print(f"caught {error}\\n", end="", flush=True)
 """
 
+INTERRUPTED = """
+import time
+from mpi4py import MPI
+from ewr_fenicsx.task_sharing import share_tasks
+
+comm = MPI.COMM_WORLD
+
+def work(task):
+    if comm.rank == 1:
+        raise KeyboardInterrupt
+    time.sleep(0.05)
+
+since = time.monotonic()
+try:
+    share_tasks(range(200), work, comm)
+except KeyboardInterrupt:
+    print("left before the others were done" if time.monotonic() - since < 5 else "left late", flush=True)
+    comm.Abort(130)
+"""
+
 STRANGE = """
 from mpi4py import MPI
 from ewr_fenicsx.task_sharing import do_together, share_tasks
@@ -118,6 +138,13 @@ def test_what_no_rank_can_be_sent_is_an_error_on_every_one_as_well(mpirun):
     assert done.returncode == 0, done.stderr
     for told in ("Local: task 0", "ValueError: held", "TwoWords: two words", "gone", "Local: task 7"):
         assert done.stdout.count(f"caught {told}") == 2, done.stdout
+
+
+def test_an_interrupted_rank_does_not_wait_for_the_work_of_others(mpirun):
+    """Which would do all that is left of a sweep first, as long as that takes."""
+    done = mpirun(2, "python", "-m", "mpi4py", "-c", INTERRUPTED, timeout=60)
+    assert done.returncode == 130, done.stderr
+    assert done.stdout == "left before the others were done\n"
 
 
 def test_a_rank_by_itself_raises_what_it_caught():
