@@ -70,6 +70,7 @@ def _lend_to_corners(chain: Chain, pair_of_node: Mapping[int, int]) -> dict[int,
         middles = [i for i, node in enumerate(named) if node in pair_of_node]
         for i in set(range(len(named))) - set(middles) if middles else ():
             away = np.linalg.norm(place[nodes[middles]] - place[nodes[i]], axis=1)
-            lent.append((named[i], float(away.min()), pair_of_node[named[middles[int(away.argmin())]]]))
+            near = [float(f"{distance:.9g}") for distance in away]  # one of both bodies and on all ranks
+            lent += [(named[i], far, pair_of_node[named[m]]) for far, m in zip(near, middles, strict=True)]
     everyone = sorted((some for part in mesh.domain.comm.allgather(lent) for some in part), reverse=True)
     return {corner: pair for corner, _, pair in everyone}

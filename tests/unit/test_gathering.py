@@ -18,12 +18,17 @@ from small_scenes import write_blocks
 
 from ewr_fenicsx import load_scene
 from ewr_fenicsx.output.gathering import Cells, gather_boundary, gather_cells, measure_thinnest_body, measure_width
+from ewr_fenicsx.output.pair_fields import spread_over_interface
 from ewr_fenicsx.structure._compat import compile_form, function_space
 from ewr_fenicsx.structure.chain import build_chain
+from ewr_fenicsx.structure.elasticity import assemble_structure
+from ewr_fenicsx.structure.interface import pair_interface
+from ewr_fenicsx.structure.materials import TITANIUM
 from ewr_fenicsx.structure.mesh import build_mesh
 
 EXTRUDED = Path(__file__).parents[2] / "geometry" / "extruded.py"
 DOVETAIL = {"profile": "dovetail", "pairs": 4, "layers": 3, "mesh_size": 4e-3}
+BLOCKS_OF_TETRAHEDRA = Path(__file__).parents[1] / "geometry" / "tetrahedra.py"
 TETRAHEDRA = """
 import gmsh
 
@@ -143,3 +148,18 @@ def test_the_thinnest_solid_is_as_thin_as_its_depth(solid):
 def test_across_faces_a_tetrahedron_is_wider_than_across_edges():
     points = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float)
     assert measure_width(points) == pytest.approx(4 / np.sqrt(3)), "2 across two edges"
+
+
+def test_corners_without_pairs_show_one_pair_on_both_bodies():
+    """Of edges as long as each other each body took the one that it met first, and each number of ranks another."""
+    mesh = build_mesh(BLOCKS_OF_TETRAHEDRA, {}, MPI.COMM_WORLD)
+    structure = assemble_structure(mesh, materials=dict.fromkeys(mesh.bodies, TITANIUM), degree=2)
+    interface = pair_interface(structure)
+    chain = SimpleNamespace(mesh=mesh, structure=structure, interface=interface)
+    field = spread_over_interface(chain, -1.0)(np.arange(len(interface.area)))
+    shown = np.flatnonzero(field.x.array > -0.5)
+    places = field.function_space.tabulate_dof_coordinates()[shown].round(9)
+    _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    assert len(count) == 16 and (count == 2).all()
+    for here in range(len(count)):
+        assert np.ptp(field.x.array[shown[place == here]]) == pytest.approx(0, abs=1e-9), places[place == here]
