@@ -93,11 +93,16 @@ def _holds_work(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    if (folder / MODEL).is_file():
-        shutil.rmtree(folder, ignore_errors=True)
-    else:
+    if not (folder / MODEL).is_file():
         with suppress(OSError):  # it is not empty, or not there
             folder.rmdir()
+        return
+    if folder.is_symlink():  # to another disk: it stays, and so does the folder there
+        for entry in folder.iterdir():
+            shutil.rmtree(entry, ignore_errors=True)  # which leaves files
+            with suppress(OSError):
+                entry.unlink()
+    shutil.rmtree(folder, ignore_errors=True)  # which leaves links
 
 
 def _take_up(folder: Path, model: ReducedModel, own: str, ranks: int) -> ReducedModel | None:

@@ -9,10 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from mpi4py import MPI
 
 from ewr_fenicsx.errors import OutputError
 from ewr_fenicsx.output.result_folder import check_target, hold_target, result_folder
-from ewr_fenicsx.output.work_folder import name_work_folder
+from ewr_fenicsx.output.work_folder import MODEL, keep_work, name_work_folder
 
 
 def write_run(folder, value: str, **options) -> None:
@@ -107,6 +108,19 @@ def test_a_link_to_another_disk_stays_a_link(tmp_path, begun):
         write_run(link, value, overwrite=value == "2")
         assert link.is_symlink() and (disk / "results" / "value.txt").read_text() == value
     assert [path.name for path in (*disk.iterdir(), *link.parent.iterdir())] == ["results", "results"]
+
+
+def test_work_behind_a_link_to_another_disk_is_removed_in_the_end(tmp_path):
+    """The next run took it for interrupted work, and refused to go on where its scene was another one."""
+    disk, link = tmp_path / "disk", tmp_path / "results.partial"
+    disk.mkdir()
+    link.symlink_to(disk)
+    with keep_work(link, MPI.COMM_SELF):
+        (link / "blocks").mkdir()
+        for name in (MODEL, "ranks.txt", "blocks/000_0000.h5"):
+            (link / name).write_bytes(b"")
+    assert link.is_symlink() and disk.is_dir()
+    assert not any(disk.iterdir())
 
 
 def test_a_link_that_leads_nowhere_is_refused_before_any_work(tmp_path):
