@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from errno import EDQUOT, ENOSPC
 
 import cffi
 import dolfinx
@@ -49,7 +50,7 @@ def compiling(what: str) -> Iterator[None]:
         what: What is compiled, for the message.
 
     Raises:
-        EwrError: No C compiler, or a cache left unusable by an interrupted compilation.
+        EwrError: No C compiler, or a cache that cannot be written or was left unusable by an interrupted compilation.
     """
     root = logging.getLogger()
     level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
@@ -61,7 +62,7 @@ def compiling(what: str) -> Iterator[None]:
     except (TimeoutError, ImportError, OSError, RuntimeError, cffi.VerificationError) as error:
         cache = jit_cache()
         remedy = f"If an earlier run was killed, clear the cache: rm -r {cache}"
-        if isinstance(error, OSError) and error.filename:
+        if isinstance(error, OSError) and (error.filename or error.errno in (ENOSPC, EDQUOT)):  # no name on a full disk
             remedy = f"The cache is {cache}; if it cannot be written, set XDG_CACHE_HOME to a folder that can"
         elif not isinstance(error, TimeoutError):
             remedy = f"Is there a C compiler (apt-get install gcc)? {remedy}"

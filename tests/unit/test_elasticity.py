@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -272,3 +273,9 @@ def test_a_cache_that_cannot_be_written_is_one_clear_error(tmp_path):
     finished = compile_elsewhere(tmp_path, XDG_CACHE_HOME="/proc/ewr")  # even root cannot write there
     assert finished.returncode == 1
     assert "The cache is /proc/ewr/fenics; if it cannot be written, set XDG_CACHE_HOME" in finished.stderr
+
+
+def test_a_cache_on_a_full_disk_is_no_missing_compiler():
+    told = r"No space left on device\nThe cache is .*; if it cannot be written, set XDG_CACHE_HOME"
+    with pytest.raises(EwrError, match=told), _compat.compiling("a form"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # of a write that fails
