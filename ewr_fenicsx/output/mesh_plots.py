@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.output.gathering import Cells, gather_boundary, gather_cells
-from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, INK, in_own_style, save_picture
+from ewr_fenicsx.output.plots import DPI, FLANK_COLOURS, INK, in_own_style, put_title, save_picture
 from ewr_fenicsx.scene.scene import Scene
 from ewr_fenicsx.structure.chain import Chain
 from ewr_fenicsx.structure.interface import Interface
@@ -177,7 +177,7 @@ def caption_mesh(figure: Figure, whole: Axes, joint: Axes, chain: Chain) -> None
 
 def caption_motion(figure: Figure, colours: ScalarMappable, title: str, **place: object) -> None:
     """Title and colour bar of a displaced shape, the bar placed as ``Figure.colorbar`` lets one."""
-    figure.suptitle(title)
+    put_title(figure, title)
     figure.colorbar(colours, label="displacement / its largest value", **place)
 
 

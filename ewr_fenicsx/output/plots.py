@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -30,6 +31,7 @@ from ewr_fenicsx.structure.interface import Interface
 SAMPLES = 1024
 ALIKE = 1e-3  # of the largest value, that curves drawn as one lie apart at most
 DPI = 150
+LETTERS = 10  # of a title, an inch: wide ones take as much
 HEADROOM = 1.05  # times the largest value, up to which an axis from zero goes
 LEAST = {
     "normal_force": 1e-6,
@@ -64,6 +66,11 @@ def save_picture(figure: Figure, path: Path, **settings: object) -> None:
     for text in figure.findobj(lambda artist: isinstance(artist, Text) and "$" in artist.get_text()):
         text.set_parse_math(False)
     figure.savefig(path, **settings)
+
+
+def put_title(figure: Figure, title: str) -> None:
+    """The title of a figure that has its width, in as many lines as that takes."""
+    figure.suptitle(fill(title, int(LETTERS * figure.get_figwidth())))
 
 
 @in_own_style
@@ -108,7 +115,7 @@ def draw_histories(path: Path, interface: Interface, solution: PeriodicSolution)
     for axes in grid[-1]:
         axes.set(xlabel="time / period", xlim=(0, 1))
     _place_key(figure, grid, interface)
-    figure.suptitle(_caption(solution))
+    put_title(figure, _caption(solution))
     save_picture(figure, path, dpi=DPI)
 
 
@@ -167,7 +174,7 @@ def draw_contact_sets(path: Path, interface: Interface, solution: PeriodicSoluti
     for axes, flank in zip(grid[0], interface.flanks, strict=True):
         axes.set_title(flank.replace("_", " "))
     next(axes for axes in grid.flat if axes.lines).legend(loc="upper right", fontsize=8)
-    figure.suptitle(_caption(solution))
+    put_title(figure, _caption(solution))
     _place_key(figure, grid, interface)
     save_picture(figure, path, dpi=DPI)
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 from itertools import product
 from math import ceil
 from pathlib import Path
-from textwrap import fill
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -37,7 +36,7 @@ from ewr_fenicsx.output.mesh_plots import (
     place_arrows,
     place_legend,
 )
-from ewr_fenicsx.output.plots import DPI, INK, in_own_style, save_picture
+from ewr_fenicsx.output.plots import DPI, INK, in_own_style, put_title, save_picture
 from ewr_fenicsx.structure.chain import Chain
 
 ABOVE, ASIDE = 36.0, 26.0  # where the eye is, from the z direction upwards and towards x [degrees]
@@ -46,7 +45,6 @@ NEAR, NORMALS = 0.27, 0.09  # how far around the pairs faces are drawn, and leng
 SIDE, FILLED = 6.0, 0.95  # of the square that a drawing is in [in], and how far it fills it
 LEFT, GAP, TOP, BELOW, LINE = 0.9, 0.7, 0.8, 0.75, 0.18  # around and between drawings, and a line of a legend [in]
 BAR = 1.1  # width that a colour bar takes [in]
-LETTERS = 10  # of a title, an inch: wide ones take as much
 TICKS = 7  # about as many numbers along the longest edge of a box
 
 
@@ -211,7 +209,7 @@ def _lay_out(figure: Figure, panels: Mapping[Axes3D, float], columns: Sequence[i
     total = np.array([LEFT + np.sum(widths + GAP) + beside, TOP + height + below])
     figure.set_size_inches(total)
     for title in figure.texts:
-        title.set_text(fill(title.get_text(), int(LETTERS * total[0])))
+        put_title(figure, title.get_text())
     places = LEFT + np.cumsum(widths + GAP) - GAP - widths / 2
     for axes, place, middle, some, n in zip(panels, places, boxes.mean(axis=1), entries, columns, strict=True):
         corner = np.array([place, below + height / 2]) - SIDE * middle

@@ -22,8 +22,8 @@ from ewr_fenicsx import load_scene
 from ewr_fenicsx.errors import SceneWarning
 from ewr_fenicsx.output import plots, solid_plots
 from ewr_fenicsx.output.cost_plots import draw_work_precision
-from ewr_fenicsx.output.gathering import gather_cells
-from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh, gather_mode, tell_mode
+from ewr_fenicsx.output.gathering import Cells, gather_cells
+from ewr_fenicsx.output.mesh_plots import _lay_panels, draw_mesh, draw_motion, gather_mode, tell_mode
 from ewr_fenicsx.runs.study import run_study
 from ewr_fenicsx.solution.contact_state import SLIP, classify_contact, sample_friction_limit
 from ewr_fenicsx.structure.chain import build_chain
@@ -288,6 +288,28 @@ def test_pictures_of_a_worn_joint_say_so(worn, tmp_path, monkeypatch):
         draw(tmp_path / "picture.png", worn.chain.interface, worn.solution)
     top, depth = worn.solution.orders[-1], worn.solution.problem.wear.max()
     assert set(titles) == {f"1400 Hz, harmonics 0 to {top}, worn by up to {1e6 * depth:.3g} µm"}
+
+
+def stand_a_rod() -> Cells:
+    """One cell, ten times as high as wide, pushed sideways."""
+    corners = np.array([[[0.0, 0.0], [0.02, 0.0], [0.02, 0.2], [0.0, 0.2]]])
+    return Cells(corners, np.tile([0.01, 0.0], (1, 4, 1)), np.array([1]))
+
+
+def test_no_title_of_a_narrow_picture_is_cut_off(tmp_path, monkeypatch):
+    """A blade is slender, and a joint of one flank takes one column."""
+    (tmp_path / "scene.toml").write_text(write_blocks(solver="harmonics = [0, 1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 19]"))
+    study, figures = run_study(build_chain(load_scene(tmp_path / "scene.toml"))), []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **more: figures.append(figure))
+    draw_motion(tmp_path / "mode.png", stand_a_rod(), "full-stick mode 1 in a wave of 3 nodal diameters: 1450.0 Hz")
+    for draw in (plots.draw_histories, plots.draw_contact_sets):
+        draw(tmp_path / "picture.png", study.chain.interface, study.solution)
+    for figure in figures:
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        title = figure._suptitle.get_window_extent(canvas.get_renderer())
+        assert figure.bbox.x0 <= title.x0 and title.x1 <= figure.bbox.x1
+        assert title.y0 > max(axes.get_window_extent().y1 for axes in figure.axes)
 
 
 def test_flanks_of_a_large_fir_tree_have_colours_of_their_own():
