@@ -15,7 +15,7 @@ from small_models import dovetail
 from small_scenes import read_demo
 from sparse_matrices import to_scipy
 
-from ewr_fenicsx import ContactLaws, ContactProblem, Scene, integrate, load_scene, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, Scene, evolve_wear, integrate, load_scene, solve
 from ewr_fenicsx.errors import SceneError
 from ewr_fenicsx.structure.chain import build_chain, pose_problem
 
@@ -151,6 +151,12 @@ def test_a_worn_joint_is_swept_and_worn_on(capsys):
     assert worn.figure("rms_tip")[2] == pytest.approx(again.merit["rms_tip"], rel=1e-6)
     assert np.array_equal(names["later"].depth[0], names["worn"])
     assert names["later"].depth[-1].max() > 1.2 * names["worn"].max()
+
+
+def test_a_cycle_wears_away_the_coefficient_times_the_work_of_friction_over_its_own():
+    problem = ContactProblem(dovetail(), ContactLaws(friction=0.2), 300.0, harmonics=15)
+    worn = evolve_wear(problem, cycles=1, coefficient=2e-14, progress=False).depth[-1] @ problem.model.pair_area
+    assert worn == pytest.approx(2e-14 * solve(problem).merit["friction_dissipation"] / 0.2, rel=0.02)
 
 
 def test_a_solve_tells_what_it_is_about(caplog):
