@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ewr_fenicsx.wear.wear import WearHistory
 
 ROUND = 256  # samples of a period, looked through for the largest motion
+WORN_AWAY = 0.1  # of the thinnest body, from which wear changes what is meshed
 
 
 def word_remedy(found: AccurateSolution) -> AccurateSolution:
@@ -45,7 +46,7 @@ def word_stop(history: WearHistory) -> WearHistory:
 
 
 def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through: float) -> list[str]:
-    """Where motions are too large for pairs of nodes that stay opposite each other, and for linear elasticity.
+    """Where motions or wear are too large for nodes that stay opposite each other, and for linear elasticity.
 
     Of a body that walks they are looked at about their mean, which means nothing: what keeps it from going off decides.
 
@@ -78,6 +79,12 @@ def doubt_small_motion(solution: PeriodicSolution, interface: Interface, through
         for name, size in largest.items()
         if size > through
     ]
+    deepest = 0.0 if solution.problem.wear is None else float(solution.problem.wear.max())
+    if deepest > WORN_AWAY * through:
+        doubts.append(
+            f"surfaces recede by up to {1e3 * deepest:.3g} mm as they wear, a body is only {1e3 * through:.3g} mm "
+            "thick: gaps widen, and bodies and normals stay as they are meshed; see loads, wear coefficients and cycles"
+        )
     return doubts
 
 

@@ -1,4 +1,4 @@
-"""Motions too large for nodes that stay opposite each other, or for linear elasticity, are told with the remedy."""
+"""Motions or wear too large for nodes that stay opposite each other, or for linear elasticity, are told."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_models import dovetail
 from small_scenes import read_demo
 
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.cli import main
+from ewr_fenicsx.runs import findings
 from ewr_fenicsx.runs.findings import measure_spacing
 from ewr_fenicsx.structure.interface import Interface
 
@@ -37,6 +40,16 @@ def test_sliding_past_the_next_node_and_moving_by_a_thickness_are_told(tmp_path,
     assert slid > apart and doubts[0].endswith("see loads, damping and units")
     assert f"NOT a small motion: {slides}" in capsys.readouterr().out
     assert not any("slide farther" in doubt for doubt in run_magnified(tmp_path / "below", 0.9e5 * apart / slid))
+
+
+def test_wear_of_a_tenth_of_a_body_is_told(monkeypatch):
+    """Flanks that are worn alike: the blade moves outwards and is held as before."""
+    monkeypatch.setattr(findings, "measure_spacing", lambda _: np.full(6, np.inf))
+    for depth, told in ((0.4e-3, 0), (0.6e-3, 1)):
+        solution = solve(ContactProblem(dovetail(), ContactLaws(), 300.0, wear=np.full(6, depth)))
+        doubts = findings.doubt_small_motion(solution, None, 5e-3)
+        assert len(doubts) == told
+    assert doubts[0].startswith("surfaces recede by up to 0.6 mm as they wear, a body is only 5 mm thick")
 
 
 def test_spacing_is_that_to_the_next_pair_of_the_same_flank():
