@@ -238,7 +238,10 @@ def lay_laws(scene: Scene, interface: Interface | None = None) -> JointLaws:
     if not scene.flanks:
         return _laws(scene.contact)
     if interface is None:
-        raise SceneError(f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface")
+        raise SceneError(
+            f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface as well, or take "
+            "build_chain(scene).pose()"
+        )
     groups: dict[str, tuple[ContactLaws, list[int]]] = {}
     for k, flank in enumerate(interface.flanks):
         laws = _laws(scene.laws_on(flank))
