@@ -89,7 +89,10 @@ class Contact(Section):
         ge=0,
     )
     pair_tolerance: Number = entry(
-        1e-6, "-", "Largest distance of two paired nodes, relative to the flank's length.", gt=0
+        1e-6,
+        "-",
+        "Largest distance of two paired nodes, relative to the flank's length. They count as touching all the same.",
+        gt=0,
     )
 
     @field_validator("law_files")

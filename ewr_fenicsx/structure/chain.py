@@ -32,7 +32,7 @@ from ewr_fenicsx.structure import elasticity, materials
 from ewr_fenicsx.structure._compat import measure_compilation
 from ewr_fenicsx.structure.boundaries import doubt_cracks
 from ewr_fenicsx.structure.elasticity import Structure, assemble_structure
-from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, pair_interface
+from ewr_fenicsx.structure.interface import Interface, doubt_boundaries, doubt_drawn_gaps, pair_interface
 from ewr_fenicsx.structure.mesh import JointMesh, Ring, build_mesh, measure_extent
 from ewr_fenicsx.structure.reduction import CraigBampton, reduce_structure
 from ewr_fenicsx.structure.rigid_motions import doubt_pieces
@@ -161,7 +161,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 in_use=[*elsewhere, *(getattr(entry, "boundary", None) for entry in followed)],
             )
             joint = interface.flanks, contact.body_a, contact.body_b
-            doubts += tuple(doubt_boundaries(structure, *joint, scene.supports.boundaries))
+            doubts += (*doubt_drawn_gaps(interface), *doubt_boundaries(structure, *joint, scene.supports.boundaries))
             cuts = find_cuts(structure, interface, ring) if ring else None
         check_flanks(scene, interface)
         check_laws(scene, interface.flanks)  # those of flanks that only the mesh knows, too

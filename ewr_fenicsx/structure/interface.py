@@ -19,11 +19,17 @@ from ewr_fenicsx.errors import InterfaceError, nearest
 from ewr_fenicsx.structure import boundaries, elasticity
 from ewr_fenicsx.structure.boundaries import tell_place
 from ewr_fenicsx.structure.mesh import JointMesh, Ring, find_body_of_cells, find_cells_beside, rotate_by_sector
-from ewr_fenicsx.structure.pair_frames import follow_rows, follow_tangent, measure_turn, turn_along_supports
+from ewr_fenicsx.structure.pair_frames import (
+    check_free_to_part,
+    check_smooth,
+    follow_rows,
+    follow_tangent,
+    measure_turn,
+    turn_along_supports,
+)
 
-STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
+CLOSE = 1e-6  # of a flank's length: distance of the two nodes of a pair that is none
 _SAME = 1e-9  # of the square of a unit vector, up to which it lies in what others span
-SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,8 @@ class Interface:
         boundaries: Of each flank that which A's nodes are on.
         is_next: Which pairs have their node of B in the next sector of a ring, ``(K_c,)``: their rows lack its part.
         position_b: Where B's nodes are in the mesh, ``(K_c, d)`` [m]: of the next sector, turned back.
+        drawn_gap: How far B's nodes are from A's along the normal in the mesh, ``(K_c,)`` [m], which counts as none;
+            negative where the bodies overlap.
         next_normal_gap, next_tangential_slip: That part, to be multiplied with the next sector's ``u``; None: none is.
     """
 
@@ -67,6 +75,7 @@ class Interface:
     boundaries: tuple[str, ...]
     is_next: np.ndarray
     position_b: np.ndarray
+    drawn_gap: np.ndarray
     next_normal_gap: scipy.sparse.csr_matrix | None = None
     next_tangential_slip: scipy.sparse.csr_matrix | None = None
 
@@ -106,7 +115,7 @@ def pair_interface(
     flanks: Sequence[str] | None = None,
     body_a: str = "blade",
     body_b: str | None = "disk",
-    tolerance: float = 1e-6,
+    tolerance: float = CLOSE,
     in_use: Sequence[str] = (),
     ring: Ring | None = None,
 ) -> Interface:
@@ -152,7 +161,7 @@ def pair_interface(
     if crowded:  # it would touch nothing
         raise InterfaceError(f'flank "{crowded[0]}": {crowd}')
     for name, (a, b) in paired.items():
-        _check_smooth(name, a)
+        check_smooth(name, a.position, a.turn)
         _check_opposed(name, a, b, *whose[name])
     return _lay_pairs(structure, tuple(paired), list(paired.values()), on, ring)
 
@@ -187,11 +196,12 @@ def _lay_pairs(
         held_b = np.where(is_next[:, None], held_b @ squares.T > 1 - _SAME, held_b)
     still = held_a & held_b
     normal = np.concatenate([a.normal for a, _ in paired])
-    _check_free_to_part(names, flank_of_pair, position, normal, still)
+    check_free_to_part(names, flank_of_pair, position, normal, still)
     normal, tangents = turn_along_supports(normal, still)
     size = structure.mass.getSize()[0]
     each = np.repeat(np.arange(len(normal)), tangents.shape[1])
     tangent, here = np.concatenate(tangents), ~is_next[:, None]
+    drawn_gap = np.sum((position_b - position) * normal, axis=1)
     further = {}
     if beyond:
         turned, centre = rotate_by_sector(ring, dimension), np.array(ring.centre)
@@ -212,6 +222,7 @@ def _lay_pairs(
         on,
         is_next,
         position_b,
+        drawn_gap,
         **further,
     )
 
@@ -260,6 +271,20 @@ def doubt_boundaries(
                 f'boundary "{name}" lies on {whose}, face to face, and they do not touch each other in '
                 f"this model: a joint is between {body_a} and {body_b}, on {', '.join(flanks)}; if they should touch, "
                 f"{_tell_how_to_touch(bodies, body_a, body_b)}; if they are glued, let them share nodes"
+            )
+
+
+def doubt_drawn_gaps(interface: Interface) -> Iterator[str]:
+    """What is probably not meant by sides of a flank that are drawn apart, or into one another: a sentence each."""
+    for k, name in enumerate(interface.flanks):
+        mine = interface.flank_of_pair == k
+        gap, length = interface.drawn_gap[mine], np.linalg.norm(np.ptp(interface.position[mine], axis=0))
+        worst = gap[np.argmax(np.abs(gap))]
+        if abs(worst) > CLOSE * length:
+            yield (
+                f'flank "{name}": its sides are drawn up to {abs(worst):.3g} m '
+                f"{'apart' if worst > 0 else 'into one another'}, which contact.pair_tolerance allows and the model "
+                "takes no notice of: initial_gap alone says how far apart they are"
             )
 
 
@@ -335,8 +360,9 @@ def _pair_sides(
     distance, partner = cKDTree(b.position).query(a.position[order])
     worst = int(np.argmax(distance))
     if distance[worst] > tolerance * length or len(set(partner)) != len(partner):
-        apart = distance.min() > tolerance * length
-        clearance = "; a clearance is not drawn, but given as contact.initial_gap" if apart else ""
+        way = b.position[partner[worst]] - a.position[order[worst]]
+        across = abs(way @ a.normal[order[worst]]) > 0.5 * distance[worst]
+        clearance = "; a clearance is not drawn, but given as contact.initial_gap" if across else ""
         raise InterfaceError(
             f'flank "{name}": the {body_a} node at {tell_place(a.position[order[worst]])} is {distance[worst]:.3g} m '
             f"away from the nearest {body_b} node, allowed are {tolerance * length:.3g} m; give both {outlines} "
@@ -345,39 +371,12 @@ def _pair_sides(
     return a.take(order), b.take(partner)
 
 
-def _check_smooth(name: str, side: _Side) -> None:
-    k = int(np.argmax(side.turn))
-    if side.turn[k] > SHARPEST:
-        raise InterfaceError(
-            f'flank "{name}" turns a corner of {side.turn[k]:.0f} degrees at {tell_place(side.position[k])}: a pair '
-            f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
-            "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
-        )
-
-
 def _check_opposed(name: str, a: _Side, b: _Side, body_a: str, body_b: str) -> None:
     alike = np.flatnonzero(np.sum(a.normal * b.normal, axis=1) > -0.5)
     if len(alike):
         raise InterfaceError(
             f'flank "{name}": {body_a} and {body_b} lie on the same side of it at {tell_place(a.position[alike[0]])}: '
             "they overlap there, and neither could press on the other; draw the bodies on either side of their flank"
-        )
-
-
-def _check_free_to_part(names, flank_of_pair, position, normal, still) -> None:
-    """Refuses pairs both nodes of which are held across their flank, or askew where it does not curve that way."""
-    tilt = np.degrees(np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(still, normal, 0.0), axis=1))))
-    for k in np.argsort(-tilt)[: np.count_nonzero(tilt > STRAIGHT)]:
-        others = (flank_of_pair == flank_of_pair[k]) & ~still.any(axis=1)
-        curves = np.degrees(np.arccos(np.clip(normal[others] @ normal[k], -1.0, 1.0))).max(initial=0.0)
-        if tilt[k] < SHARPEST / 2 and curves > tilt[k] / 2:
-            continue
-        axes = " and ".join(axis for axis, is_still in zip("xyz", still[k], strict=False) if is_still)
-        how = "and cannot part" if tilt[k] >= SHARPEST / 2 else f"which is {tilt[k]:.0f} degrees askew to it"
-        raise InterfaceError(
-            f'flank "{names[flank_of_pair[k]]}": both nodes at {tell_place(position[k])} are held along {axes}, {how}: '
-            "a plane of symmetry stands at right angles to its flanks; take the flank out of the boundary that is "
-            "held, or end it short of that"
         )
 
 

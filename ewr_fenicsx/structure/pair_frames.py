@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+
+from ewr_fenicsx.errors import InterfaceError
+from ewr_fenicsx.structure.boundaries import tell_place
+
+STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
+SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
 def turn_tangents(normal: np.ndarray) -> np.ndarray:
@@ -52,6 +60,49 @@ def measure_turn(size: np.ndarray, normal: np.ndarray, products: np.ndarray) -> 
     bent = (missing > 0.01) & (size > 0)  # less: straight to rounding, or curved inside an edge
     cosine = np.divide(spread, missing, out=np.full_like(size, 2.0), where=bent) - 1
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def check_smooth(name: str, position: np.ndarray, turn: np.ndarray) -> None:
+    """Refuses a flank that turns a corner, by the places ``(n, d)`` [m] of its nodes and their ``measure_turn``.
+
+    Raises:
+        InterfaceError: Names the corner.
+    """
+    k = int(np.argmax(turn))
+    if turn[k] > SHARPEST:
+        raise InterfaceError(
+            f'flank "{name}" turns a corner of {turn[k]:.0f} degrees at {tell_place(position[k])}: a pair '
+            f"there has no normal, it would be a wedge (curves turn by up to {SHARPEST:.0f} degrees at a node); "
+            "end the flank short of the corner on both sides of it, as two flanks with an edge between that is on none"
+        )
+
+
+def check_free_to_part(
+    names: Sequence[str], flank_of_pair: np.ndarray, position: np.ndarray, normal: np.ndarray, still: np.ndarray
+) -> None:
+    """Refuses pairs both nodes of which are held across their flank, or askew where it does not curve that way.
+
+    Args:
+        names: Of the flanks.
+        flank_of_pair, position, normal: As ``Interface`` has them.
+        still: ``(K_c, d)`` axes along which both nodes of a pair are held.
+
+    Raises:
+        InterfaceError: Names the flank and the pair's place.
+    """
+    tilt = np.degrees(np.arcsin(np.minimum(1.0, np.linalg.norm(np.where(still, normal, 0.0), axis=1))))
+    for k in np.argsort(-tilt)[: np.count_nonzero(tilt > STRAIGHT)]:
+        others = (flank_of_pair == flank_of_pair[k]) & ~still.any(axis=1)
+        curves = np.degrees(np.arccos(np.clip(normal[others] @ normal[k], -1.0, 1.0))).max(initial=0.0)
+        if tilt[k] < SHARPEST / 2 and curves > tilt[k] / 2:
+            continue
+        axes = " and ".join(axis for axis, is_still in zip("xyz", still[k], strict=False) if is_still)
+        how = "and cannot part" if tilt[k] >= SHARPEST / 2 else f"which is {tilt[k]:.0f} degrees askew to it"
+        raise InterfaceError(
+            f'flank "{names[flank_of_pair[k]]}": both nodes at {tell_place(position[k])} are held along {axes}, {how}: '
+            "a plane of symmetry stands at right angles to its flanks; take the flank out of the boundary that is "
+            "held, or end it short of that"
+        )
 
 
 def follow_tangent(position: np.ndarray, normal: np.ndarray) -> np.ndarray:

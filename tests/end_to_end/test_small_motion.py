@@ -55,6 +55,6 @@ def test_wear_of_a_tenth_of_a_body_is_told(monkeypatch):
 def test_spacing_is_that_to_the_next_pair_of_the_same_flank():
     position = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [0.0, 0.1], [9.0, 9.0]])
     lacking = ("normal", "tangents", "nodes_a", "nodes_b", "normal_gap", "tangential_slip")
-    nothing = dict.fromkeys((*lacking, "boundaries", "is_next", "position_b"))
+    nothing = dict.fromkeys((*lacking, "boundaries", "is_next", "position_b", "drawn_gap"))
     interface = Interface(("a", "b", "c"), np.array([0, 0, 0, 1, 2]), position, area=np.ones(5), **nothing)
     assert measure_spacing(interface) == pytest.approx([1.0, 1.0, 2.0, np.inf, np.inf])

@@ -134,6 +134,15 @@ def test_a_joint_to_a_third_body_is_told(tmp_path):
     assert 'boundary "lid" lies on' in doubt and "a joint is between blade and disk, on joint;" in doubt
 
 
+@pytest.mark.parametrize(("shift", "told"), [(1e-5, "1e-05 m apart"), (-2e-5, "2e-05 m into one another")])
+def test_sides_drawn_apart_are_told_where_the_tolerance_lets_them(tmp_path, shift, told):
+    """The model had them touch, without a word."""
+    tolerant = "[contact]\npair_tolerance = 1e-3"
+    (tmp_path / "scene.toml").write_text(write_blocks(tolerant, parameters=f"shift = {shift}"))
+    (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
+    assert f'flank "joint": its sides are drawn up to {told}, which' in doubt and "initial_gap alone says" in doubt
+
+
 def test_a_body_without_a_material_beside_one_that_has_one_is_told(tmp_path):
     (tmp_path / "scene.toml").write_text(write_blocks("[materials.disk]\nyoung = 210e9\ndensity = 7800.0"))
     (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts

@@ -195,6 +195,17 @@ def test_a_boundary_that_may_be_no_flank_is_told_so(rows, told):
     assert words not in str(refused.value)
 
 
+@pytest.mark.parametrize("gap", [True, False])
+def test_a_clearance_is_hinted_at_where_sides_part_across_the_flank(gap):
+    """Also where they touch elsewhere, as those of a crowned flank do; not where nodes lie beside each other."""
+    x, up = np.linspace(-1.0, 1.0, 5), np.tile([0.0, 1.0], (5, 1))
+    lay = lambda first, x, y: _Side(first + np.arange(5), np.column_stack([x, y]), up, np.ones(5), np.zeros(5))  # noqa: E731
+    moved = (x, 0.01 * x**2) if gap else (x + 0.01, 0 * x)
+    with pytest.raises(InterfaceError, match=r"is 0\.01 m away") as refused:
+        _pair_sides("joint", lay(0, x, 0 * x), lay(5, *moved), "blade", "disk", 1e-6)
+    assert ("a clearance is not drawn" in str(refused.value)) == gap
+
+
 def test_two_nodes_have_no_partner_in_common():
     """However near they are to it."""
     lay = lambda first, *x: _Side(  # noqa: E731

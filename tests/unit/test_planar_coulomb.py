@@ -204,6 +204,7 @@ def test_results_tell_of_both_directions(tmp_path):
     interface = Interface(
         ("seat",), np.zeros(6, dtype=int), np.zeros((6, 2)), np.zeros((6, 2)), np.zeros((6, 1, 2)), 2.0 * each,
         np.arange(6), np.arange(6), None, None, ("seat",), np.zeros(6, dtype=bool), np.zeros((6, 2)),
+        np.zeros(6),
     )  # fmt: skip
     fields = contact_fields(interface, solution, 16)
     np.testing.assert_array_equal(fields["second_friction_traction"], solution.history("second_friction_force", 16) / 2)
