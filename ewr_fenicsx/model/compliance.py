@@ -257,11 +257,10 @@ def _tell_unseen(model: ReducedModel, share: RealArray) -> str:
 
     if model.tangents and (slides := list_moving(model.tangent_directions)):
         told = f"slides along {name_pairs(slides)} without friction"
-    elif model.normal is not None and (opens := list_moving(["normal"])):
+        return f"{told}; clamp the body, bond a flank, or add friction or pairs"
+    if model.normal is not None and (opens := list_moving(["normal"])):
         return (
             f"moves {name_pairs(opens)} along the normal, where forces are given and hold nothing; clamp the body, "
             'bond a flank, or let contact push back: normal = "unilateral"'
         )
-    else:
-        told = "moves no pair"
-    return f"{told}; clamp the body, bond a flank, or add friction or pairs"
+    return "moves no pair, so that no contact could hold it; clamp a body, or add pairs that it moves"

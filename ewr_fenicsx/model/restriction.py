@@ -13,6 +13,7 @@ from ewr_fenicsx.model.cyclic_symmetry import COUPLINGS, ROWS
 from ewr_fenicsx.model.reduced_model import ReducedModel
 from ewr_fenicsx.model.rigid_modes import find_own_units
 
+_STILL = 1e-10  # of what the coordinates could move a row by, below which it is at rest but for rounding
 _ROUNDINGS = 10  # times the number of coordinates, that a projection leaves of an entry that is zero
 
 
@@ -25,7 +26,7 @@ def restrict(model: ReducedModel, basis: RealArray, rigid_modes: RealArray) -> R
         rigid_modes: ``(n', r)`` those of the model's that are among these motions, as ``y``.
     """
     units = find_own_units(model.stiffness, model.mass)
-    project = lambda matrix: None if matrix is None else matrix @ basis  # noqa: E731
+    project = lambda rows: None if rows is None else _project_rows(rows, basis)  # noqa: E731
     symmetric = lambda matrix: 0.5 * (matrix + matrix.T)  # noqa: E731
     cyclic = model.cyclic
     if cyclic is not None:
@@ -86,6 +87,13 @@ def bound_motion(model: ReducedModel, rows: RealArray) -> RealArray:
     root = find_own_units(model.stiffness, model.mass)
     seen = np.linalg.norm(rows / root, axis=1).max(initial=0.0)
     return seen * np.linalg.norm(root[:, None] * model.rigid_modes, axis=0)
+
+
+def _project_rows(rows: RealArray, basis: RealArray) -> RealArray:
+    """``rows @ basis``; rows that bonds hold are zero, without the rounding that would count as their motion."""
+    seen = rows @ basis
+    reached = np.linalg.norm(np.abs(rows) @ np.abs(basis), axis=1, keepdims=True)
+    return np.where(np.linalg.norm(seen, axis=1, keepdims=True) > _STILL * reached, seen, 0.0)
 
 
 def _project(matrix: RealArray, basis: RealArray, units: RealArray) -> RealArray:

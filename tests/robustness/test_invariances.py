@@ -124,6 +124,22 @@ def body_on_a_slide(degrees: float, *, held: bool) -> ReducedModel:
     )
 
 
+@pytest.mark.parametrize("turn", [np.eye(3), np.linalg.qr([[1.0, 2.0, 3.0], [0.5, -1.0, 1.0], [2.0, 0.0, 1.0]])[0]])
+def test_bodies_that_float_as_one_are_told_that_no_pair_moves(turn):
+    """In turned axes rounding slid along the pair, and the remedy was to bond it, as it was."""
+    spring = 1e6 * np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    model = ReducedModel(
+        mass=np.eye(3),
+        damping=np.zeros((3, 3)),
+        stiffness=turn.T @ spring @ turn,
+        tangential=np.array([[0.0, 1.0, -1.0]]) @ turn,
+        load={1: np.array([1.0, 0.0, 0.0]) @ turn},
+    )
+    laws = ContactLaws(normal="prescribed", normal_force=0.0, tangential="bonded")
+    with pytest.raises(ModelError, match="one that they do not see moves no pair, so that no contact could hold it"):
+        solve(ContactProblem(model, laws, 100.0, 3))
+
+
 @pytest.mark.parametrize("degrees", [0, 10, 33, 45, 60, 77])
 def test_a_motion_that_rounding_alone_moves_is_no_motion(degrees):
     """Turned axes leave roundings where zeros were: of what bonds and contact see of a rigid motion, and of stiffness.
