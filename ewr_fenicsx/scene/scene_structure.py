@@ -13,6 +13,7 @@ from ewr_fenicsx.model.cyclic_symmetry import MOST_SECTORS, MOST_WAVES
 from ewr_fenicsx.scene.scene_entries import Integer, Number, Positive, Ratio, Section, Vector, choose_form, entry
 
 HIGHEST_HARMONIC = 255  # beyond it a solve would take more memory than there is
+LOCKING = 0.48  # Poisson's ratio from which elements of first order are too stiff by a tenth to a half, in frequency
 
 
 def _refuse_zero(direction: tuple[float, ...]) -> tuple[float, ...]:
@@ -58,9 +59,20 @@ class Material(Section):
     density: Number = entry(4430.0, "kg/m^3", "Mass density.", gt=0)
 
 
-def doubt_materials(stated: Mapping[str, Material], bodies: Iterable[str]) -> Iterator[str]:
-    """Where the default was probably not meant, one sentence each: a body beside those with a material, half of one."""
+def doubt_materials(stated: Mapping[str, Material], bodies: Iterable[str], locks: bool) -> Iterator[str]:
+    """What was probably not meant, one sentence each: half a material, none beside others, one in elements that lock.
+
+    Args:
+        stated: Materials by body.
+        bodies: All that there are.
+        locks: As ``Elasticity.locks``.
+    """
     for body, material in stated.items():
+        if locks and material.poisson >= LOCKING:
+            yield (
+                f"materials.{body}.poisson = {material.poisson:g} with elasticity.degree = 1: elements of first order "
+                "are far too stiff where a material hardly changes its volume; take elasticity.degree = 2"
+            )
         for key, other in (("young", "density"), ("density", "young")):
             if key not in material.model_fields_set and other in material.model_fields_set:
                 yield (
@@ -88,6 +100,10 @@ class Elasticity(Section):
         if type(degree) is not int or degree not in (1, 2):  # of Python's true and 1.0 either is 1 as well
             raise PydanticCustomError("degree", "should be 1 or 2")
         return degree
+
+    def locks(self, dimension: int) -> bool:
+        """Whether elements resist nearly incompressible bending; in plane stress the thickness gives way."""
+        return self.degree == 1 and (dimension == 3 or self.plane == "strain")
 
 
 class RayleighDamping(Section):

@@ -145,8 +145,8 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 loads=[_load(name, load) for name, load in scene.loads.items()],
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
-        nodes, pieces = structure.space.dofmap.dof_layout.num_dofs, doubt_pieces(structure)
-        doubts += (*doubt_materials(scene.materials, mesh.bodies), *doubt_tetrahedra(mesh.dimension, nodes), *pieces)
+        nodes, locks = structure.space.dofmap.dof_layout.num_dofs, scene.elasticity.locks(mesh.dimension)
+        doubts += (*doubt_materials(scene.materials, mesh.bodies, locks), *doubt_tetrahedra(mesh.dimension, nodes))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
             ring = _ring(scene, mesh)
@@ -169,7 +169,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
             reduction = reduce_structure(structure, interface, modes=scene.reduction.modes, cuts=cuts)
     modes, stuck = reduction.fixed_interface_frequencies, float(reduction.full_stick.frequency[0])
     doubts += (*doubt_closure(scene, mesh.dimension), *doubt_modes(scene, len(modes), float(max(modes))))
-    doubts += (*doubt_frequency(scene, stuck), *doubt_drag(scene, reduction.rigid_drag))
+    doubts += (*doubt_frequency(scene, stuck), *doubt_drag(scene, reduction.rigid_drag), *doubt_pieces(structure))
     return Chain(scene, reduction, watch.seconds, doubts)
 
 

@@ -40,11 +40,21 @@ def test_lengths_in_millimetres_are_doubted_beside_the_mesh(read, text, extent, 
 def test_materials_that_are_titanium_for_want_of_a_word_are_doubted(read):
     """Steel with the density of the default, and a bolt that was forgotten; an empty table asks for the default."""
     stated = read(SCENE + "[materials.disk]\nyoung = 210e9\n[materials.blade]\n").materials
-    half, without = doubt_materials(stated, ("disk", "blade", "bolt"))
+    half, without = doubt_materials(stated, ("disk", "blade", "bolt"), False)
     assert half.startswith("materials.disk.density: missing beside young = 2.1e+11, so that it is 4430")
     assert without.startswith("materials: disk, blade have one, bolt has none and will be of Ti-6Al-4V")
     whole = read(SCENE + "[materials.disk]\nyoung = 210e9\ndensity = 7800\n[materials.blade]\n").materials
-    assert not list(doubt_materials(whole, ("disk", "blade"))) and not list(doubt_materials({}, ("disk", "blade")))
+    assert not any(list(doubt_materials(given, ("disk", "blade"), True)) for given in (whole, {}))
+
+
+def test_elements_that_lock_are_told(read):
+    """At 0.49 frequencies of a block are a fifth too high; in plane stress its thickness gives way."""
+    rubber = "[materials.pad]\nyoung = 5e7\npoisson = 0.49\ndensity = 1100\n[elasticity]\n"
+    strain, stress, square = (read(SCENE + rubber + more) for more in ("plane = 'strain'", "", "degree = 2"))
+    (doubt,) = doubt_materials(strain.materials, ("pad",), strain.elasticity.locks(2))
+    assert doubt.startswith("materials.pad.poisson = 0.49 with elasticity.degree = 1: elements of first order are far")
+    assert [stress.elasticity.locks(d) for d in (2, 3)] == [False, True]
+    assert not square.elasticity.locks(3)
 
 
 def test_loads_above_the_modes_kept_are_doubted(read):
