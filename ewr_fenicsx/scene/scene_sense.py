@@ -100,12 +100,13 @@ def doubt_lengths(scene: Scene, extent: float) -> Iterator[str]:
             )
 
 
-def doubt_tetrahedra(dimension: int, nodes_a_cell: int) -> Iterator[str]:
-    """What is probably not meant by solids of such cells, one sentence each."""
-    if (dimension, nodes_a_cell) == (3, 4):
+def doubt_simplices(dimension: int, nodes_a_cell: int) -> Iterator[str]:
+    """What is probably not meant by cells of so many nodes, one sentence each."""
+    simplices = {(2, 3): ("triangles", "quadrilaterals"), (3, 4): ("tetrahedra", "hexahedra")}
+    if cells := simplices.get((dimension, nodes_a_cell)):
         yield (
-            "elasticity.degree = 1: tetrahedra of first order are far too stiff in bending; take elasticity.degree = "
-            "2, or hexahedra"
+            f"elasticity.degree = 1: {cells[0]} of first order are far too stiff in bending; take elasticity.degree = "
+            f"2, or {cells[1]}"
         )
 
 

@@ -24,7 +24,7 @@ from ewr_fenicsx.scene.scene_sense import (
     doubt_frequency,
     doubt_lengths,
     doubt_modes,
-    doubt_tetrahedra,
+    doubt_simplices,
     laws_in_force,
 )
 from ewr_fenicsx.scene.scene_structure import Material, ModalDamping, RayleighDamping, RotationLoad, doubt_materials
@@ -146,7 +146,7 @@ def build_chain(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, progress: Progres
                 outputs=[elasticity.OutputSpec(name, o.boundary, o.direction) for name, o in scene.outputs.items()],
             )
         nodes, locks = structure.space.dofmap.dof_layout.num_dofs, scene.elasticity.locks(mesh.dimension)
-        doubts += (*doubt_materials(scene.materials, mesh.bodies, locks), *doubt_tetrahedra(mesh.dimension, nodes))
+        doubts += (*doubt_materials(scene.materials, mesh.bodies, locks), *doubt_simplices(mesh.dimension, nodes))
         with watch.stage("interface"):
             contact, followed = scene.contact, [*scene.loads.values(), *scene.outputs.values()]
             ring = _ring(scene, mesh)

@@ -143,6 +143,18 @@ def test_sides_drawn_apart_are_told_where_the_tolerance_lets_them(tmp_path, shif
     assert f'flank "joint": its sides are drawn up to {told}, which' in doubt and "initial_gap alone says" in doubt
 
 
+def test_triangles_of_first_order_are_told(tmp_path):
+    """In bending they are as stiff as tetrahedra."""
+    frequency, doubts = {}, {}
+    for degree in (1, 2):
+        text = write_blocks(f"[elasticity]\ndegree = {degree}", parameters="quadrilaterals = false, columns = 2")
+        (tmp_path / "scene.toml").write_text(text)
+        made = chain.build_chain(load_scene(tmp_path / "scene.toml"))
+        frequency[degree], doubts[degree] = made.reduction.full_stick.frequency[0], made.doubts
+    assert frequency[1] > 1.15 * frequency[2] and not doubts[2]
+    assert "triangles of first order are far too stiff in bending; take elasticity.degree = 2, or quad" in doubts[1][0]
+
+
 def test_a_body_without_a_material_beside_one_that_has_one_is_told(tmp_path):
     (tmp_path / "scene.toml").write_text(write_blocks("[materials.disk]\nyoung = 210e9\ndensity = 7800.0"))
     (doubt,) = chain.build_chain(load_scene(tmp_path / "scene.toml")).doubts
