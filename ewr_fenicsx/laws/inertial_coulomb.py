@@ -32,7 +32,7 @@ class Slide(NamedTuple):
         momentum: At the end of each sample's interval, over its length [N].
         kept: Derivative by the momentum before: 1, less where the mass reverses, 0 where it comes to rest.
         by_drive, by_limit: Derivatives by the drive and by the limit at the same sample.
-        free: ``(K,)`` masses without friction, which have no momentum of their own.
+        free: ``(K,)`` masses without friction, or with none but rounding, which have no momentum of their own.
     """
 
     momentum: RealArray
@@ -53,10 +53,12 @@ def slide(drive: RealArray, limit: RealArray) -> Slide:
         drive: ``g``, ``(n_t, K)`` [N].
         limit: ``c >= 0``, ``(n_t, K)`` [N].
     """
-    columns = zip(drive.T.tolist(), limit.T.tolist(), strict=True)
-    found = [_find_periodic(g, c) if any(c) else _run_period(0.0, g, c) for g, c in columns]
+    # what presses an open pair may be rounding: any momentum comes back beside that
+    free = np.mean(limit, axis=0) <= ROUNDING * np.max(np.abs(drive), axis=0)
+    columns = zip(drive.T.tolist(), limit.T.tolist(), free, strict=True)
+    found = [_run_period(0.0, g, c) if slides else _find_periodic(g, c) for g, c, slides in columns]
     periods = np.array(found).reshape(-1, len(drive), 4)
-    return Slide(*np.moveaxis(periods, 2, 0).transpose(0, 2, 1), ~np.any(limit, axis=0))
+    return Slide(*np.moveaxis(periods, 2, 0).transpose(0, 2, 1), free)
 
 
 def _find_periodic(drive: list[float], limit: list[float]) -> list[tuple[float, ...]]:

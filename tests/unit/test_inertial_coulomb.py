@@ -135,6 +135,26 @@ def test_a_pair_that_is_open_throughout_has_no_friction():
     assert found.output("x")[0] == pytest.approx(0.4, abs=1e-7)
 
 
+def test_a_pair_that_rounding_alone_presses_has_no_friction():
+    """Its momentum was found in rounding: 3 Newton steps were 20, and surfaces slid four times as far a step ahead."""
+    drive, limit = draw_period(5)
+    found, free = slide(drive, 1e-17 * limit), slide(drive, 0 * limit)
+    assert np.all(found.free) and not np.any(slide(drive, 1e-6 * limit).free)
+    np.testing.assert_allclose(found.momentum, free.momentum, atol=1e-12)
+    stiffness = 2.0 * np.eye(4) - 0.5 * (np.eye(4, k=1) + np.eye(4, k=-1))
+    model = ReducedModel(
+        mass=np.eye(4),
+        damping=0.05 * stiffness,
+        stiffness=stiffness,
+        normal=np.eye(4)[1::2],
+        tangential=np.eye(4)[::2],
+        load={0: [0.0, -5.0, 0.0, 0.0], 1: [0.0, 0.0, 1.0, 0.3]},
+    )
+    solution = solve(ContactProblem(model, ContactLaws(friction=1.0, initial_gap=[0.0, 10.0]), 0.19))
+    assert solution.problem.system.closures == ("masses",) and solution.iterations <= 5
+    assert "may be off" not in solution.summary()
+
+
 @given(seeds)
 def test_matrices_of_a_gathered_momentum(seed):
     rng = np.random.default_rng(seed)
