@@ -246,16 +246,19 @@ def compare_sliding(ahead: PeriodicSolution, solution: PeriodicSolution) -> floa
 
     That of what presses as it slides, over the larger one, where it is more: open pairs may make most of the way. Or
     that of the work of friction, ``friction_dissipation``, of which dashpots take some where the truncation is coarse.
+    Where next to nothing presses as it slides, works are rounding. Ahead of a solution they may be negative.
     """
     slid, rubbed = [], []
     for force, speed in (each.press_and_slide(each.problem.basis.samples) for each in (ahead, solution)):
         slid.append(float(np.mean(speed)))
         rubbed.append(float(np.mean(force * speed)))
-    if not max(slid) > AT_REST * float(np.mean(solution.slip_reach)):
+    rest = AT_REST * float(np.mean(solution.slip_reach))
+    if not max(map(abs, slid)) > rest:
         return 0.0
-    taken = [_measure_friction(each) for each in (ahead, solution)]
-    figures = [(there, here) for there, here in (slid, rubbed, taken) if max(there, here) > 0]
-    return max(abs(there - here) / max(there, here) for there, here in figures)
+    figures = [slid]
+    if max(map(abs, rubbed)) > rest * float(np.mean(force)):
+        figures += [rubbed, [_measure_friction(each) for each in (ahead, solution)]]
+    return max(abs(there - here) / max(abs(there), abs(here)) for there, here in figures if there or here)
 
 
 def _measure_friction(motion: PeriodicSolution) -> float:
