@@ -14,6 +14,8 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.law_kinds import Law
 
+ROUNDING = 1e-14  # share of the forces that meet a limit, up to which it is none
+
 
 @dataclass(frozen=True, eq=False)
 class FrictionLaw(Law):
@@ -50,6 +52,19 @@ class FrictionLaw(Law):
 
     def admit(self, trial: Mapping[str, RealArray]) -> RealArray:
         return project_on_cone(trial["tangential"], self.limit(trial))
+
+
+def find_felt(limit: RealArray, force: RealArray) -> np.ndarray:
+    """Where a limit is more than rounding beside the forces that meet it over the period, ``(n_t, K)`` bool.
+
+    The normal force of a pair that stays open is zero but for rounding, which would press it now and then: derivatives
+    of its friction would change from sample to sample, and rows whose derivatives do not are free of cost.
+
+    Args:
+        limit: ``mu max(0, lam_N)``, ``(n_t, K)`` [N].
+        force: Trial friction force, or what drives it, ``(n_t, K)`` [N].
+    """
+    return limit > ROUNDING * np.max(np.abs(force), axis=0, initial=0.0)
 
 
 def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.cone import FrictionLaw, project_on_cone
+from ewr_fenicsx.laws.cone import FrictionLaw, find_felt, project_on_cone
 from ewr_fenicsx.laws.inertial_coulomb import InertialCoulomb
 from ewr_fenicsx.laws.law_kinds import (
     TANGENTS,
@@ -106,8 +106,8 @@ class Coulomb(FrictionLaw):
         return 1 / self.rho
 
     def evaluate(self, motion: Motion) -> Response:
-        normal, limit, trial = motion.force["normal"], self.limit(motion.force), self.try_stick(motion)
-        sides = normal > 0, trial >= limit, trial > -limit
+        limit, trial = self.limit(motion.force), self.try_stick(motion)
+        sides = find_felt(limit, trial), trial >= limit, trial > -limit
         return Response(motion.force["tangential"] - project_on_cone(trial, limit), self.differentiate(sides))
 
     def try_stick(self, motion: Motion) -> RealArray:

@@ -18,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.cone import FrictionLaw
+from ewr_fenicsx.laws.cone import ROUNDING, FrictionLaw, find_felt
 from ewr_fenicsx.laws.law_kinds import Motion, Partial, Response
 
 ROUNDS = 100  # of a period in search of the momentum that comes back
-ROUNDING = 1e-14
 
 
 class Slide(NamedTuple):
@@ -53,8 +52,7 @@ def slide(drive: RealArray, limit: RealArray) -> Slide:
         drive: ``g``, ``(n_t, K)`` [N].
         limit: ``c >= 0``, ``(n_t, K)`` [N].
     """
-    # what presses an open pair may be rounding: any momentum comes back beside that
-    free = np.mean(limit, axis=0) <= ROUNDING * np.max(np.abs(drive), axis=0)
+    free = ~np.any(find_felt(limit, drive), axis=0)  # any momentum comes back beside rounding
     columns = zip(drive.T.tolist(), limit.T.tolist(), free, strict=True)
     found = [_run_period(0.0, g, c) if slides else _find_periodic(g, c) for g, c, slides in columns]
     periods = np.array(found).reshape(-1, len(drive), 4)

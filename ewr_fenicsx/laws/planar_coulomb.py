@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.cone import FrictionLaw
+from ewr_fenicsx.laws.cone import FrictionLaw, find_felt
 from ewr_fenicsx.laws.law_kinds import TANGENTS, Law, Motion, PairGroup, Partial, Response
 from ewr_fenicsx.laws.mean_friction import MeanEquation
 from ewr_fenicsx.laws.smoothing import Rounded, round_clip, round_positive_part
@@ -54,10 +54,11 @@ class PlanarCoulomb(FrictionLaw):
         return trial[self.direction] * np.divide(limit, size, out=np.ones_like(size), where=size > limit)
 
     def evaluate(self, motion: Motion) -> Response:
-        normal, limit = motion.force["normal"], self.limit(motion.force)
-        trial, size = self.try_stick(motion)
+        limit, (trial, size) = self.limit(motion.force), self.try_stick(motion)
+        felt = find_felt(limit, size)
+        limit = np.where(felt, limit, 0.0)
         slips = size >= limit
-        cone = np.where(slips & (normal > 0), self.friction, 0.0)
+        cone = np.where(slips & felt, self.friction, 0.0)
         return self.respond(motion, trial, size, np.minimum(size, limit), np.where(slips, 0.0, 1.0), cone)
 
     def try_stick(self, motion: Motion) -> tuple[dict[str, RealArray], RealArray]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.cone import FrictionLaw
+from ewr_fenicsx.laws.cone import FrictionLaw, find_felt
 from ewr_fenicsx.laws.law_kinds import Motion, Partial, Response
 
 
@@ -77,15 +77,15 @@ class SprungCoulomb(FrictionLaw):
     def impedance(self) -> RealArray:
         return 1 / self.flexibility
 
-    def run(self, motion: Motion) -> Stop:
-        """The admissible friction force, and since when each pair sticks."""
-        drive = motion.force["tangential"] - motion.oscillation["tangential"] / self.flexibility
-        return run_stop(drive, self.limit(motion.force))
+    def drive(self, motion: Motion) -> RealArray:
+        """Force ``(n_t, K)`` that the springs would follow, were there no limit [N]."""
+        return motion.force["tangential"] - motion.oscillation["tangential"] / self.flexibility
 
     def evaluate(self, motion: Motion) -> Response:
-        force, since, sign = self.run(motion)
+        drive, limit = self.drive(motion), self.limit(motion.force)
+        force, since, sign = run_stop(drive, limit)
         slips = since == np.arange(len(since))[:, None]
-        cone = np.where(slips & (motion.force["normal"] > 0), -sign * self.friction, 0.0)
+        cone = np.where(slips & find_felt(limit, drive), -sign * self.friction, 0.0)
         slipping, sticking = np.where(slips, 1.0, 0.0), np.where(slips, 0.0, 1 / self.flexibility)
         earlier = np.where(slips, -1, since)  # what sticks takes over from its last slip
         return Response(
@@ -101,7 +101,7 @@ class SprungCoulomb(FrictionLaw):
         )
 
     def fields(self, motion: Motion) -> dict[str, RealArray]:
-        force, since, _ = self.run(motion)
+        force, since, _ = run_stop(self.drive(motion), self.limit(motion.force))
         bent = self.flexibility * (force - motion.force["tangential"])
         return {
             "admissible_friction_force": force,

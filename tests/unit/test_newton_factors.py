@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import PROBLEMS
+from small_models import PROBLEMS, random_structure
 
-from ewr_fenicsx import ContactProblem, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, solve
 from ewr_fenicsx.balance import inexact_step
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.solver import snes
@@ -165,3 +165,21 @@ def test_far_from_a_solution_large_joints_take_steps_without_factors_of_the_whol
 )
 def test_runs_that_creep_are_told(norms, stalled):
     assert snes.is_stalled(norms) == stalled
+
+
+@pytest.mark.parametrize(("tangents", "closure"), [(1, "dashpot"), (1, "spring"), (2, "dashpot")])
+def test_pairs_that_stay_open_are_eliminated_with_their_friction(tangents, closure):
+    """Rounding pressed them now and then, so that their friction seemed to change, and was solved for densely."""
+    model = replace(random_structure(pairs=6, size=24, tangents=tangents), load={1: np.ones(24)})
+    parted = np.arange(6) < 4
+    laws = ContactLaws(friction=0.3, initial_gap=np.where(parted, 1e3, 0.0))
+    solution = solve(ContactProblem(model, laws, 0.05, 5, closure=closure))
+    system = solution.problem.system
+    assert solution.converged and ("springs" in system.closures) == (closure == "spring")
+    assert np.all(solution.history("gap")[:, parted] > 0)
+    balance, unknowns = solution.pose()
+    rows = [system.row_of(direction, np.flatnonzero(parted)) for direction in ("normal", *model.tangent_directions)]
+    forces, rigid = balance.unpack(unknowns)
+    for seed in range(3):
+        forces[:, np.concatenate(rows)] = 1e-17 * np.random.default_rng(seed).normal(size=(6, 4 * len(rows)))
+        assert balance.linearise(balance.pack(forces, rigid)).steady[np.concatenate(rows)].all()
