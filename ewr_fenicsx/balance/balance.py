@@ -75,10 +75,38 @@ class HarmonicBalance:
     @cached_property
     def full_stick(self) -> tuple[ComplexArray, RealArray]:
         """Force amplitudes ``(n_h, m)`` and rigid coordinates when no pair opens or slips: the linear start."""
-        return self._stick(lambda target: target)
+        return self._stick(self.static_target)
 
-    def _stick(self, place: Callable[[RealArray], RealArray]) -> tuple[ComplexArray, RealArray]:
-        """``full_stick``, where the laws' mean displacements are given to ``place`` and what it returns is held [m]."""
+    @cached_property
+    def cold_start(self) -> tuple[ComplexArray, RealArray]:
+        """``full_stick``, but wide gaps are not closed for it: their pairs are held where they are."""
+        wide = self.wide_gaps > 0
+        return self._stick(np.where(wide, 0.0, self.static_target)) if np.any(wide) else self.full_stick
+
+    @cached_property
+    def wide_gaps(self) -> RealArray:
+        """``(m,)`` gaps that take over ``MOST`` times the force to close that holds all pairs in place, else 0 [m]."""
+        gap = np.maximum(0.0, -np.nan_to_num(self.static_target))
+        most = MOST * float(np.linalg.norm(self._in_place))
+        return np.where(gap > most * self.system.flexibility, gap, 0.0)
+
+    @cached_property
+    def static_target(self) -> RealArray:
+        """``(m,)`` mean motion at which the laws would hold each row; NaN where they do not say [m]."""
+        target = np.full(self.rows, np.nan)
+        for law, rows in zip(self.system.laws, self.law_rows, strict=True):
+            if law.static_target is not None:
+                target[rows] = law.static_target
+        return target
+
+    @cached_property
+    def _in_place(self) -> ComplexArray:
+        """Force amplitudes ``(n_h, m)`` of full stick if no gap were closed for it [N]."""
+        closes = np.any(self.static_target < 0)
+        return self._stick(np.maximum(self.static_target, 0.0))[0] if closes else self.full_stick[0]
+
+    def _stick(self, target: RealArray) -> tuple[ComplexArray, RealArray]:
+        """``full_stick``, where rows are held at mean motions ``(m,)``, and free where these are NaN [m]."""
         compliance = self.compliance
         forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
         rigid = np.zeros(self.rigid)
@@ -87,9 +115,6 @@ class HarmonicBalance:
             if h and np.any(compliance.free_motion[j]):
                 forces[j] = _hold_still(compliance.flexibility[j] + shift, compliance.free_motion[j])
         if self.basis.has_mean:
-            target = np.full(self.rows, np.nan)
-            for law, rows in zip(self.system.laws, self.law_rows, strict=True):
-                target[rows] = np.nan if law.static_target is None else place(law.static_target)
             held = np.flatnonzero(np.isfinite(target))
             unit = self.mean_flexibility
             G = compliance.rigid_motion[held]
@@ -117,10 +142,7 @@ class HarmonicBalance:
         which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
         resonance. Usual is what holds the pairs where they are, each row by itself where they oscillate.
         """
-        held = stick = self.full_stick[0]
-        targets = [law.static_target for law in self.system.laws if law.static_target is not None]
-        if any(np.any(target < 0) for target in targets):
-            held = self._stick(lambda target: np.maximum(target, 0.0))[0]
+        held, stick = self._in_place, self.full_stick[0]
         oscillates = self.rate != 0
         alone = self.compliance.free_motion[oscillates] / self.system.flexibility
         usual = np.hypot(

@@ -117,7 +117,7 @@ def climb(
     rungs: tuple[Rung, ...] = (),
     coarse_tolerance: float = COARSE_TOLERANCE,
     limit: int | None = None,
-    begin: Callable[[HarmonicBalance], tuple[ComplexArray, RealArray]] = lambda level: level.full_stick,
+    begin: Callable[[HarmonicBalance], tuple[ComplexArray, RealArray]] = lambda level: level.cold_start,
 ) -> Attempt:
     """Growing sets of harmonics, the first from where ``begin`` says, the others from the solution of the one before.
 

@@ -278,8 +278,8 @@ class Splitting:
         return self.balance.pack(kept, rigid)
 
     def begin(self) -> RealArray:
-        """The state of full stick, where forces cause no motion."""
-        return self.basis.synthesise(self.balance.full_stick[0])
+        """The state of full stick, where forces cause no motion, with wide gaps as they are."""
+        return self.basis.synthesise(self.balance.cold_start[0]) + self.scale * self.balance.wide_gaps
 
     def join(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
         """The state of forces [N] and motions [m] of all rows, ``(n_h, m)``, which need not fit each other."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from small_models import lift_off_oscillator
+from small_models import lift_off_oscillator, random_structure
 
 from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
@@ -99,3 +99,19 @@ def test_next_to_nothing_decides_the_mean_friction_of_a_pair_that_sticks_and_sti
     assert abs(forces[0, rubs] - solution.forces[0, rubs]) > 0.04 * np.linalg.norm(solution.forces)
     found = solve(problem, replace(solution, forces=forces, rigid=rigid), fallbacks=False)
     np.testing.assert_allclose(found.forces, solution.forces, atol=1e-6 * np.linalg.norm(solution.forces))
+
+
+@pytest.mark.parametrize("harmonics", [3, 15])
+def test_wide_gaps_are_not_closed_to_begin_with(harmonics):
+    """Full stick pulls them shut, whatever that takes: up to 14 steps for 4, and on a blade root a fallback."""
+    model = random_structure(pairs=6, size=24)
+    model = replace(model, load={0: -model.normal.T @ np.full(6, 30.0), 1: np.ones(24)})
+    gaps = np.array([0.0, 1e6, -0.1, 1e6, 1e6, 0.1])
+    problem = ContactProblem(model, ContactLaws(friction=0.3, initial_gap=gaps), 0.12, harmonics)
+    balance = HarmonicBalance(problem.system)
+    at = problem.system.row_of("normal", np.arange(6))
+    np.testing.assert_array_equal(balance.wide_gaps[at], [0.0, 1e6, 0.0, 1e6, 1e6, 0.0])
+    place = balance.compliance.motion(*balance.cold_start)[0, at].real
+    np.testing.assert_allclose(place, [0.0, 0.0, 0.1, 0.0, 0.0, -0.1], atol=1e-6)
+    solution = solve(problem)
+    assert solution.converged and not solution.fallbacks and solution.iterations <= 5
