@@ -79,16 +79,20 @@ class HarmonicBalance:
 
     @cached_property
     def cold_start(self) -> tuple[ComplexArray, RealArray]:
-        """``full_stick``, but wide gaps are not closed for it: their pairs are held where they are."""
-        wide = self.wide_gaps > 0
-        return self._stick(np.where(wide, 0.0, self.static_target)) if np.any(wide) else self.full_stick
+        """``full_stick`` of all pairs but those with wide gaps, which are apart."""
+        if not np.any(self.wide_gaps):
+            return self.full_stick
+        apart, joined = self.system.spread(self.wide_gaps, "normal") > 0, np.ones(self.rows, dtype=bool)
+        for rows in self.system.index.values():
+            joined[rows[apart & (rows >= 0)]] = False
+        return self._stick(np.where(joined, self.static_target, np.nan), joined)
 
     @cached_property
     def wide_gaps(self) -> RealArray:
-        """``(m,)`` gaps that take over ``MOST`` times the force to close that holds all pairs in place, else 0 [m]."""
+        """``(m,)`` gaps that full stick pulls shut by over ``MOST`` times what holds all pairs in place, else 0 [m]."""
         gap = np.maximum(0.0, -np.nan_to_num(self.static_target))
-        most = MOST * float(np.linalg.norm(self._in_place))
-        return np.where(gap > most * self.system.flexibility, gap, 0.0)
+        pulls = -self.full_stick[0][0].real if self.basis.has_mean else np.zeros(self.rows)
+        return np.where(pulls > MOST * float(np.linalg.norm(self._in_place)), gap, 0.0)
 
     @cached_property
     def static_target(self) -> RealArray:
@@ -105,15 +109,16 @@ class HarmonicBalance:
         closes = np.any(self.static_target < 0)
         return self._stick(np.maximum(self.static_target, 0.0))[0] if closes else self.full_stick[0]
 
-    def _stick(self, target: RealArray) -> tuple[ComplexArray, RealArray]:
-        """``full_stick``, where rows are held at mean motions ``(m,)``, and free where these are NaN [m]."""
+    def _stick(self, target: RealArray, joined: np.ndarray | slice = slice(None)) -> tuple[ComplexArray, RealArray]:
+        """``full_stick`` of rows joined, at mean motions ``(m,)``, or free where these are NaN [m]."""
         compliance = self.compliance
         forces = np.zeros((len(self.basis.orders), self.rows), dtype=complex)
         rigid = np.zeros(self.rigid)
         shift = np.diag(REDUNDANCY * self.system.flexibility + self.system.stick_flexibility)
         for j, h in enumerate(self.basis.orders):
             if h and np.any(compliance.free_motion[j]):
-                forces[j] = _hold_still(compliance.flexibility[j] + shift, compliance.free_motion[j])
+                flexibility = (compliance.flexibility[j] + shift)[joined][:, joined]
+                forces[j, joined] = _hold_still(flexibility, compliance.free_motion[j, joined])
         if self.basis.has_mean:
             held = np.flatnonzero(np.isfinite(target))
             unit = self.mean_flexibility

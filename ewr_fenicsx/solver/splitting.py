@@ -278,7 +278,7 @@ class Splitting:
         return self.balance.pack(kept, rigid)
 
     def begin(self) -> RealArray:
-        """The state of full stick, where forces cause no motion, with wide gaps as they are."""
+        """The state of full stick, where forces cause no motion; pairs with wide gaps are apart."""
         return self.basis.synthesise(self.balance.cold_start[0]) + self.scale * self.balance.wide_gaps
 
     def join(self, forces: ComplexArray, motion: ComplexArray) -> RealArray:
