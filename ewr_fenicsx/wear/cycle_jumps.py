@@ -44,7 +44,8 @@ class Tolerance:
 
     Args:
         depth: Largest error [m]; None: ``share`` says it.
-        share: Largest error where ``depth`` is None, over the deepest wear that is expected at the end.
+        share: Largest error where ``depth`` is None, over the deepest wear that is expected at the end:
+            before a jump or after it, whichever is less.
         first: The first jump to try [cycles].
         damped: Whether jumps are damped, and so stable at any length; else they are explicit, and kept below the limit
             of stability.
@@ -175,7 +176,7 @@ class WearRun:
         # what a wrong stiffness does to the second order, which the pair does not see once damping is strong
         missed = np.linalg.solve(damping, GAMMA**2 * taken @ (trial.rate - here.rate + taken @ first))
         error = length * float(max(0.5 * np.abs(first + second).max(), np.abs(missed).max()))
-        allowed = self._allowed(here, length, decay)
+        allowed = self._allowed(here, trial, decay)
         if error > allowed:
             return trial, here.depth + np.linalg.solve(one + decay, here.rate), allowed / error
         # the sum over so many cycles, which is half a cycle's change less than the integral
@@ -215,13 +216,17 @@ class WearRun:
         left = (self.deepest - here.depth[wears]) / here.rate[wears]
         return np.floor(left.min(initial=np.inf)) + 1
 
-    def _allowed(self, here: WearStep, length: int, decay: RealArray) -> float:
-        part = np.sqrt(length / self.cycles)
+    def _allowed(self, here: WearStep, trial: WearStep, decay: RealArray) -> float:
+        part = np.sqrt((trial.cycle - here.cycle) / self.cycles)
         if self.jump.depth is not None:
             return part * self.jump.depth
-        left = self.cycles - here.cycle
-        further = np.linalg.solve(np.eye(len(decay)) + left * decay, left * here.rate)  # it evens out on the way
-        return part * self.jump.share * float((here.depth + further).max())
+        # where neighbours that do not wear take over the load, far less than the step before the jump foresees
+        return part * self.jump.share * min(self._foresee_deepest(step, decay) for step in (here, trial))
+
+    def _foresee_deepest(self, step: WearStep, decay: RealArray) -> float:
+        left = self.cycles - step.cycle
+        further = np.linalg.solve(np.eye(len(decay)) + left * decay, left * step.rate)  # it evens out on the way
+        return float((step.depth + further).max())
 
     def _solve(
         self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int, *, fallbacks: bool

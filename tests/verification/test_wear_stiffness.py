@@ -154,6 +154,30 @@ def test_jumps_keep_their_tolerance_where_pairs_flap_in_turn(first):
     assert history.solves < 50
 
 
+@pytest.mark.parametrize("damped", [True, False])
+def test_jumps_keep_their_tolerance_where_a_stop_that_does_not_wear_takes_the_load(damped):
+    """A pad wears evenly till then, a thousandth of all cycles: asked for a tenth, it wore half as deep again.
+
+    It ends as deep as the stop's gap and what the stop gives way by under the whole load.
+    """
+    load, spring, swing, area, gap, cycles = 100.0, 1e8, 1e-5, 1e-5, 1e-5, 10**6
+    model = ReducedModel(
+        mass=np.zeros((4, 4)),
+        damping=np.zeros((4, 4)),
+        stiffness=spring * np.array([[10, 0, 0, 0], [0, 2.00001, -1, -1], [0, -1, 1, 0], [0, -1, 0, 1]]),
+        normal=[[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+        tangential=[[1.0, 0.0, 0.0, 0.0]] * 2,
+        load={0: [0.0, -load, 0.0, 0.0], 1: [10 * spring * swing, 0.0, 0.0, 0.0]},
+        pair_area=[area, area],
+    )
+    problem = ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=np.array([0.0, gap])), 100.0, 1)
+    pace = gap / (1e-3 * cycles)
+    coefficient = np.array([pace * area / (load * 4 * swing), 0.0])
+    history = evolve_wear(problem, cycles, coefficient, Tolerance(share=0.1, damped=damped))
+    assert history.depth[-1, 0] == pytest.approx(gap + load / spring, rel=0.1)
+    assert history.solves < 150
+
+
 @register_law("normal", "rough")
 @dataclass(frozen=True, eq=False)
 class Rough(Unilateral):
