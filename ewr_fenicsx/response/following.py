@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 
@@ -44,6 +44,8 @@ SENSES = {1: (1, 0), 0: (0,), -1: (-1, 1)}
 MOST_STUCK = 1e3
 CLOSED = "the branch is a closed curve"  # which no other way leads out of
 BEYOND, LEAST_SHARE = 0.1, 0.5  # of the range, and of its lowest frequency: how far below it a branch is traced
+# Tolerance at folds, at most: at looser ones steps lead on beyond a nose, where no branch is, and traces lose it
+FIRM = 1e-6
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
 
@@ -190,6 +192,10 @@ class Follower:
                 tiny = f - here.problem.frequency <= 2 * SMALLEST_STEP * f  # half of it would be drawn to the target
                 lost, far = surprise > LARGEST_SURPRISE, bool(self.refine) and change > self.refine
                 turns = tiny and (lost or far) and here.problem.system.rows.shape[0]
+                if turns and self.tolerance > FIRM and (firmly := self._go_on_firmly(begun, target)):
+                    curve, stand = firmly
+                    here, before, reach = stand.here, stand.before, stand.reach
+                    break
                 traced = self._trace(begun, curve.points, here, before, target) if turns else None
                 if traced and (lost or not traced.jumps):
                     curve.extend(traced)
@@ -209,6 +215,12 @@ class Follower:
                 reach = (2.0 if easy else 1.0) * (f - here.problem.frequency)
                 here, before = found, here
             yield curve, Stand(here, before, reach)
+
+    def _go_on_firmly(self, begun: PeriodicSolution, target: float) -> tuple[Curve, Stand] | None:
+        """One turn of ``go_on`` with a firm tolerance, round a fold; None where it does not hold the beginning."""
+        firm = replace(self, tolerance=FIRM)
+        found, surprise, _ = firm._step(begun.problem.frequency, begun, None)
+        return next(firm.go_on(Stand(found), [target])) if surprise <= LARGEST_SURPRISE else None
 
     def descend(self, start: PeriodicSolution, targets: Sequence[float]) -> list[PeriodicSolution]:
         """The branch from a point to each of the falling ``targets`` in turn, as far as it leads without a fold."""

@@ -146,6 +146,15 @@ def test_points_round_a_fold_meet_the_tolerance_asked_for(curve):
     assert all(s.converged and s.residual <= 1e-11 for s in strict.solutions)
 
 
+def test_a_loose_tolerance_loses_no_branch_at_a_fold():
+    """At 1e-3 steps led on beyond the nose, from where no trace came back: 11 points with a jump were left."""
+    model = stop_oscillator(excitation=0.1, damping=0.04, stop_stiffness=6.0)
+    laws, frequencies = replace(LAWS, initial_gap=1.75), np.linspace(0.13, 0.22, 11)
+    curve = frequency_response(model, laws, frequencies, harmonics=3, tolerance=1e-3, progress=False)
+    assert curve.jumps == ()
+    assert np.any(curve.unstable) and curve.frequencies[find_turns(curve.frequencies)[-1]] < 0.163
+
+
 def test_who_waits_sees_how_far_a_fold_has_been_traced(monkeypatch):
     """A branch that closes on itself takes hundreds of points, in which no block ends."""
     notes = []
