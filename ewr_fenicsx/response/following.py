@@ -46,6 +46,7 @@ CLOSED = "the branch is a closed curve"  # which no other way leads out of
 BEYOND, LEAST_SHARE = 0.1, 0.5  # of the range, and of its lowest frequency: how far below it a branch is traced
 # Tolerance at folds, at most: at looser ones steps lead on beyond a nose, where no branch is, and traces lose it
 FIRM = 1e-6
+FARTHEST = 10.0  # times the highest frequency, up to which trials go: far above, masses leave no digit of springs
 SAME = 1e-5  # relative distance of two results of the same solve from different starts
 
 
@@ -303,7 +304,7 @@ class Follower:
         least = max(self.lowest - BEYOND * span, LEAST_SHARE * self.lowest)
 
         def balance_at(frequency: float) -> HarmonicBalance:
-            possible = max(frequency, 0.9 * least)  # a trial may go anywhere
+            possible = min(max(frequency, 0.9 * least), FARTHEST * self.highest)  # a trial may go anywhere
             return HarmonicBalance(self._pose(possible, here).system, unit)
 
         def as_branch_point(solution: PeriodicSolution) -> BranchPoint:

@@ -109,6 +109,20 @@ def test_a_trial_step_to_no_frequency_ends_no_sweep():
     assert curve.frequencies.min() > 0.1
 
 
+def test_a_trial_step_far_above_all_frequencies_is_held_back(monkeypatch):
+    """Of bodies that rattle one went to 1e15 times the highest, and scipy warned of matrices a hundred times."""
+    tried = []
+
+    def leap_far(balance_at, *_, **__):
+        tried.append(balance_at(1e20).system.compliance.omega)
+        return iter(())
+
+    monkeypatch.setattr(following, "trace_branch", leap_far)
+    model = stop_oscillator(excitation=FORCE, damping=DAMPING, stop_stiffness=STOP)
+    frequency_response(model, LAWS, FREQUENCIES, harmonics=5, progress=False)
+    assert 0 < max(tried) < 100 * 2 * np.pi * FREQUENCIES.max()
+
+
 def test_where_one_trace_loses_the_branch_a_narrower_one_is_tried(curve, monkeypatch):
     """At a corner a wide step may leap to another branch, from which no way leads on."""
     trace, widths = following.trace_branch, []
