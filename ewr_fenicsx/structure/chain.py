@@ -212,8 +212,7 @@ def pose_problem(scene: Scene, model: ReducedModel, interface: Interface | None 
         ModelError: Laws, harmonics or samples do not fit together.
         SceneError: Flanks have laws of their own and no interface says which pairs are theirs.
     """
-    solver = scene.solver
-    harmonics = solver.harmonics
+    solver, harmonics = scene.solver, scene.solver.harmonics
     if solver.accuracy is not None:  # where it begins is not decisive, but loads must have their harmonics
         harmonics = max([harmonics, *(load.harmonic for load in scene.loads.values())])
     frequency = next(iter(scene.frequencies), 0.0)
@@ -238,15 +237,12 @@ def lay_laws(scene: Scene, interface: Interface | None = None) -> JointLaws:
     if not scene.flanks:
         return _laws(scene.contact)
     if interface is None:
-        raise SceneError(
-            f"{scene.where}: flanks have laws of their own; give pose_problem the chain's interface as well, or take "
-            "build_chain(scene).pose()"
-        )
+        remedy = "give pose_problem the chain's interface as well, or take build_chain(scene).pose()"
+        raise SceneError(f"{scene.where}: flanks have laws of their own; {remedy}")
     groups: dict[str, tuple[ContactLaws, list[int]]] = {}
     for k, flank in enumerate(interface.flanks):
-        laws = _laws(scene.laws_on(flank))
-        alike = repr(scene.laws_on(flank))
-        groups.setdefault(alike, (laws, []))[1].extend(np.flatnonzero(interface.flank_of_pair == k).tolist())
+        own, pairs = scene.laws_on(flank), np.flatnonzero(interface.flank_of_pair == k).tolist()
+        groups.setdefault(repr(own), (_laws(own), []))[1].extend(pairs)
     return [(pairs, laws) for laws, pairs in groups.values()]
 
 
