@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from errno import EDQUOT, ENOSPC
+from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,6 +110,8 @@ def parse_arguments(argv: Sequence[str] | None) -> tuple[argparse.Namespace, lis
     reference = "take time stepping as the reference: slower, but independent"
     cost.add_argument("--time-stepping", action="store_true", help=reference)
     arguments, rest = parser.parse_known_args(argv)
+    if arguments.out is not None:
+        arguments.out = Path(expanduser(arguments.out))  # not every shell does, after an equals sign
     for given in sys.argv[1:] if argv is None else argv:
         if given.encode(errors="ignore").decode() != given:
             commands.choices[arguments.command].error(f"{given!r} is not UTF-8, as dolfinx wants it; rename it")

@@ -268,6 +268,13 @@ def test_an_option_that_petsc_refuses_is_told_before_the_work(tmp_path, given, w
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+def test_a_home_directory_is_meant_after_an_equals_sign_too(monkeypatch):
+    """Where the shell leaves it, results went to a folder of that name."""
+    monkeypatch.setenv("HOME", "/home/someone")
+    assert str(parse_arguments(["run", "scene.toml", "--out=~/results"])[0].out) == "/home/someone/results"
+    assert parse_arguments(["run", "scene.toml"])[0].out is None
+
+
 def test_options_with_which_petsc_does_not_start_are_told(tmp_path):
     (tmp_path / "scene.toml").write_text(write_blocks())
     command = [sys.executable, "-m", "ewr_fenicsx", "run", "scene.toml", "-options_file", "none"]
