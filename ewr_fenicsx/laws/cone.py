@@ -14,7 +14,7 @@ from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.laws.law_kinds import Law
 
-ROUNDING = 1e-14  # share of the forces that meet a limit, up to which it is none
+ROUNDING = 1e-14  # share of the largest limit, up to which one is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +54,18 @@ class FrictionLaw(Law):
         return project_on_cone(trial["tangential"], self.limit(trial))
 
 
-def find_felt(limit: RealArray, force: RealArray) -> np.ndarray:
-    """Where a limit is more than rounding beside the forces that meet it over the period, ``(n_t, K)`` bool.
+def find_felt(limit: RealArray) -> np.ndarray:
+    """Where a limit is more than rounding beside the largest one of the law's pairs, ``(n_t, K)`` bool.
 
     The normal force of a pair that stays open is zero but for rounding, which would press it now and then: derivatives
-    of its friction would change from sample to sample, and rows whose derivatives do not are free of cost.
+    of its friction would change from sample to sample, and rows whose derivatives do not are free of cost. The forces
+    that meet a limit tell nothing of that: next to a mode without damping any limit is rounding beside them, and bounds
+    the motion all the same.
 
     Args:
         limit: ``mu max(0, lam_N)``, ``(n_t, K)`` [N].
-        force: Trial friction force, or what drives it, ``(n_t, K)`` [N].
     """
-    return limit > ROUNDING * np.max(np.abs(force), axis=0, initial=0.0)
+    return limit > ROUNDING * np.max(limit, initial=0.0)
 
 
 def project_on_cone(force: RealArray, limit: RealArray) -> RealArray:

@@ -107,7 +107,7 @@ class Coulomb(FrictionLaw):
 
     def evaluate(self, motion: Motion) -> Response:
         limit, trial = self.limit(motion.force), self.try_stick(motion)
-        sides = find_felt(limit, trial), trial >= limit, trial > -limit
+        sides = find_felt(limit), trial >= limit, trial > -limit
         return Response(motion.force["tangential"] - project_on_cone(trial, limit), self.differentiate(sides))
 
     def try_stick(self, motion: Motion) -> RealArray:

@@ -52,7 +52,7 @@ def slide(drive: RealArray, limit: RealArray) -> Slide:
         drive: ``g``, ``(n_t, K)`` [N].
         limit: ``c >= 0``, ``(n_t, K)`` [N].
     """
-    free = ~np.any(find_felt(limit, drive), axis=0)  # any momentum comes back beside rounding
+    free = ~np.any(find_felt(limit), axis=0)  # any momentum comes back beside rounding
     columns = zip(drive.T.tolist(), limit.T.tolist(), free, strict=True)
     found = [_run_period(0.0, g, c) if slides else _find_periodic(g, c) for g, c, slides in columns]
     periods = np.array(found).reshape(-1, len(drive), 4)

@@ -55,7 +55,7 @@ class PlanarCoulomb(FrictionLaw):
 
     def evaluate(self, motion: Motion) -> Response:
         limit, (trial, size) = self.limit(motion.force), self.try_stick(motion)
-        felt = find_felt(limit, size)
+        felt = find_felt(limit)
         limit = np.where(felt, limit, 0.0)
         slips = size >= limit
         cone = np.where(slips & felt, self.friction, 0.0)

@@ -85,7 +85,7 @@ class SprungCoulomb(FrictionLaw):
         drive, limit = self.drive(motion), self.limit(motion.force)
         force, since, sign = run_stop(drive, limit)
         slips = since == np.arange(len(since))[:, None]
-        cone = np.where(slips & find_felt(limit, drive), -sign * self.friction, 0.0)
+        cone = np.where(slips & find_felt(limit), -sign * self.friction, 0.0)
         slipping, sticking = np.where(slips, 1.0, 0.0), np.where(slips, 0.0, 1 / self.flexibility)
         earlier = np.where(slips, -1, since)  # what sticks takes over from its last slip
         return Response(

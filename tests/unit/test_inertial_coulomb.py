@@ -138,8 +138,8 @@ def test_a_pair_that_is_open_throughout_has_no_friction():
 def test_a_pair_that_rounding_alone_presses_has_no_friction():
     """Its momentum was found in rounding: 3 Newton steps were 20, and surfaces slid four times as far a step ahead."""
     drive, limit = draw_period(5)
-    found, free = slide(drive, 1e-17 * limit), slide(drive, 0 * limit)
-    assert np.all(found.free) and not np.any(slide(drive, 1e-6 * limit).free)
+    found, free, pressed = (slide(drive, limit * [1.0, 1.0, share]) for share in (1e-17, 0.0, 1e-6))
+    assert list(found.free) == [False, False, True] and not np.any(pressed.free)
     np.testing.assert_allclose(found.momentum, free.momentum, atol=1e-12)
     stiffness = 2.0 * np.eye(4) - 0.5 * (np.eye(4, k=1) + np.eye(4, k=-1))
     model = ReducedModel(
