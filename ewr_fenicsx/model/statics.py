@@ -1,4 +1,4 @@
-"""Whether contact can hold floating bodies under their mean load, and whether it takes friction to do so."""
+"""Whether contact can hold floating bodies under their mean load, whether by friction only, and what is not pressed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from ewr_fenicsx.errors import UnheldBody, name_pairs
 from ewr_fenicsx.given import RealArray
 
 _BALANCED = 1e-8  # unbalanced share of the mean load taken for zero
+_PRESSED = 1e-6  # share of the mean load above which a normal force is none of the program's rounding
 # Motion by rigid modes, over the largest of all rows, below which it is rounding: of meshes and of text files as well,
 # where normals of a round joint seem to resist rotation
 _SEEN = 1e-6
-_SIDES = 32  # of the polygon around the disk of friction forces in a plane; at its corners they are 0.5 % too large
+# Of the polygon around the disk of friction forces in a plane: at its corners they are 0.5 % too large; 8 % where it is
+# asked what can be pressed, which takes longer
+_SIDES, _FEW_SIDES = 32, 8
 
 
 def takes_friction(
@@ -107,6 +110,50 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
     return True
 
 
+def find_unpressed(
+    normal_motion: RealArray,
+    tangential_motion: RealArray,
+    smallest: RealArray,
+    largest: RealArray,
+    friction: RealArray,
+    rigid_load: RealArray,
+    limit: RealArray,
+    pressed: np.ndarray,
+) -> list[int]:
+    """Pairs that no equilibrium presses, at floating bodies that no other contact keeps from moving off there.
+
+    A normal force that never pulls and has no mean is zero throughout. Where neither the mean load asks for one nor
+    others brace it, as a stop on the other side does, nothing touches the body, and where it lies is open. A linear
+    program over the mean forces of ``takes_friction`` presses as many pairs as it can; those in doubt count as pressed.
+
+    Args:
+        normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit: As in ``takes_friction``.
+        pressed: ``(K,)`` pairs of which it is known that something presses them.
+    """
+    size = max(np.abs(normal_motion).max(initial=1e-300), np.abs(tangential_motion).max(initial=0.0))
+
+    def find_free(loose: np.ndarray) -> RealArray:
+        """``(r, m)`` rigid motions that no contact notices if these pairs ``(K,)`` do not."""
+        rubs = (~loose & (friction > 0)) | (limit > 0)
+        seen = np.vstack([normal_motion[~loose], *tangential_motion[:, rubs]])
+        _, values, motions = np.linalg.svd(np.linalg.qr(seen, mode="r"))
+        return motions[np.count_nonzero(values > _SEEN * size) :].T
+
+    loose = (smallest == 0) & (largest > 0) & ~pressed
+    if not np.any(loose) or find_free(loose).size == 0:
+        return []
+    limit = np.where((smallest < 0) & (friction > 0), np.inf, limit)  # the cone lets no bond pull
+    bounds = list(zip(smallest, largest, strict=True))
+    program = _state(normal_motion, tangential_motion, bounds, friction, limit, rigid_load, _FEW_SIDES)
+    pushes = np.flatnonzero(loose)
+    loose[pushes] = program.press_most(pushes) <= _PRESSED
+    free = find_free(loose)
+    if np.abs(program.load @ free).max(initial=0.0) > _BALANCED:  # it presses less than the program sees
+        return []
+    moved = np.abs(normal_motion @ free).max(axis=1, initial=0.0)
+    return np.flatnonzero(loose & (moved > _SEEN * size)).tolist()
+
+
 def list_most(moved: RealArray) -> list[int]:
     """The pairs that move most, three at most and none that moves by rounding; ``moved``: ``(K,)``, not negative."""
     return [int(k) for k in np.argsort(-moved, kind="stable")[:3] if moved[k] > _SEEN * moved.max()]
@@ -159,6 +206,29 @@ class _Program:
         )
         return float(found.x[-1])
 
+    def press_most(self, pushes: np.ndarray) -> RealArray:
+        """Normal forces, up to 1, of pairs ``pushes`` that only push, as many as can be pressed at once; 1 in doubt.
+
+        All may grow in proportion, load, limits and given forces too: the sum is largest where most are pressed.
+        """
+        (r, n), k = self.forces.shape, pushes.size
+        low, high = np.array(self.bounds).T
+        given = np.where(low == high, low, 0.0)  # acts as the load does
+        low, high = (np.where(low == high, 0.0, bound) for bound in (low, high))
+        grown = np.column_stack([self.forces, self.load + self.forces @ given])  # the last: by how much all grow
+        cone = sparse.hstack([self.cone, (self.cone @ given - self.limits)[:, None]])
+        counted = sparse.csr_matrix((-np.ones(k), (np.arange(k), pushes)), (k, n + 1))
+        found = linprog(
+            np.repeat([0.0, -1.0], [n + 1, k]),
+            bounds=[*zip(low, high, strict=True), (1, np.inf), *[(0, 1)] * k],
+            A_ub=sparse.bmat([[cone, None], [counted, sparse.identity(k)]]),
+            b_ub=np.zeros(self.limits.size + k),
+            A_eq=sparse.hstack([grown, sparse.csr_matrix((r, k))]),
+            b_eq=np.zeros(r),
+            method="highs-ipm",
+        )
+        return found.x[n + 1 :] if found.status == 0 else np.ones(k)
+
 
 def _state(
     normal_motion: RealArray,
@@ -167,10 +237,11 @@ def _state(
     friction: RealArray,
     limit: RealArray,
     rigid_load: RealArray,
+    sides: int = _SIDES,
 ) -> _Program:
     size, k = np.abs(rigid_load).max(initial=0.0) or 1.0, friction.size
     rubs = np.flatnonzero((friction > 0) | (limit > 0))
-    angle = np.linspace(0, 2 * np.pi, 2 if len(tangential_motion) == 1 else _SIDES, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, 2 if len(tangential_motion) == 1 else sides, endpoint=False)
     toward = np.column_stack([np.cos(angle), np.sin(angle)])[:, : len(tangential_motion)]
     cone = sparse.csr_matrix((-friction[rubs], (np.arange(rubs.size), rubs)), (rubs.size, k))
     parts = [sparse.kron(np.ones((angle.size, 1)), cone), sparse.kron(toward, sparse.identity(rubs.size))]

@@ -26,7 +26,7 @@ from ewr_fenicsx.laws.law_kinds import (
 from ewr_fenicsx.model.compliance import DynamicCompliance, condense
 from ewr_fenicsx.model.receptance import GeneralisedInverse, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
-from ewr_fenicsx.model.statics import takes_friction
+from ewr_fenicsx.model.statics import find_unpressed, takes_friction
 from ewr_fenicsx.problem.closure import compare_waves, find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
@@ -57,6 +57,7 @@ class Statement(Protocol):
     excitation: Mapping[int, ComplexArray]
     generalised_inverse: GeneralisedInverse
     layout: Layout
+    own_kinds: tuple[str, ...]
 
 
 def arrange(problem: Statement) -> Layout:
@@ -256,8 +257,23 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
     Raises:
         UnheldBody: Nothing holds a body, or only the mean friction that ``static_friction = "zero"`` leaves out.
     """
-    if compliance.rigid_load.size == 0:
-        return False
+    return compliance.rigid_load.size > 0 and takes_friction(*pose_statics(problem, layout, compliance))
+
+
+def list_unpressed(problem: Statement, system: ContactSystem, pressed: np.ndarray | None = None) -> list[int]:
+    """Pairs that nothing presses, so that the floating bodies on them may lie anywhere: ``find_unpressed``.
+
+    None where there are laws of one's own, which may do more than their means say. ``pressed``: ``(K,)`` pairs of which
+    it is known that something presses them.
+    """
+    if system.compliance.rigid_load.size == 0 or problem.own_kinds:
+        return []
+    known = np.zeros(problem.model.pairs, dtype=bool) if pressed is None else pressed
+    return find_unpressed(*pose_statics(problem, system, system.compliance), known)
+
+
+def pose_statics(problem: Statement, layout: Layout, compliance: DynamicCompliance) -> tuple[RealArray, ...]:
+    """What ``takes_friction`` and ``find_unpressed`` ask of floating bodies and of the mean forces of all pairs."""
     K = problem.model.pairs
     directions = DIRECTIONS[: 1 + max(1, problem.model.tangents)]
     motion = np.array([layout.spread(compliance.rigid_motion.T, direction).T for direction in directions])
@@ -267,7 +283,7 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    return takes_friction(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
+    return motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs
 
 
 def bound_mean(kind: LawKind, pairs: np.ndarray, total: int) -> MeanBound:

@@ -7,6 +7,7 @@ import scipy.linalg
 
 from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.given import RealArray
+from ewr_fenicsx.problem.composition import list_unpressed
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution, tell_hit
 
@@ -32,6 +33,12 @@ def list_remedies(best: PeriodicSolution) -> str:
     hit = best.list_hit_modes() or list_modes_lost_in_rounding(best)
     if hit:
         return f". {hit[0].capitalize()}"
+    if loose := list_unpressed(problem, problem.system):
+        return (
+            f". Nothing presses {name_pairs(loose)}: no equilibrium has a mean force there, so none acts at any time, "
+            "and the bodies that float on them may lie anywhere. Give each a mean load that presses it, as its weight "
+            "or rotation does, or hold it by a spring or a support"
+        )
     if alike := find_dependent_pairs(problem):
         return (
             f". The rows of {name_pairs(alike)} depend on one another: how they share forces is open where they stick. "

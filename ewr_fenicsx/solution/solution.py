@@ -18,6 +18,7 @@ from ewr_fenicsx.problem.harmonics import FourierBasis
 from ewr_fenicsx.problem.ignored import list_ignored
 from ewr_fenicsx.solution import indicators
 from ewr_fenicsx.solution.loading_history import tell_history, tell_missed_mean
+from ewr_fenicsx.solution.unpressed import tell_unpressed
 
 FINE = 1024  # samples a period, at least, on which violations of the laws are looked for
 COARSE_ENERGY, COARSE_TENSION = 0.01, 0.1  # imbalance, and tension over the largest force, that are worth a word
@@ -138,7 +139,7 @@ class PeriodicSolution(PeriodicMotion):
         if merit["viscous_dissipation"] < -little:
             lines.append(f"the damping matrix feeds {-merit['viscous_dissipation']:.3g} J a cycle: was its sign meant?")
         lines += list_ignored(self.problem) + tell_missed_mean(self) + tell_history(self)
-        lines += [str(self.walks_slowly)] if self.walks_slowly else []
+        lines += tell_unpressed(self) + ([str(self.walks_slowly)] if self.walks_slowly else [])
         if self.unstable:
             where_to = tell_where_to(self.problem, self.alternates, self.multiplier)
             unstable = f"unstable: motions in time leave it{where_to}"

@@ -16,6 +16,7 @@ import numpy as np
 
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.errors import ModelError, NotConverged, nearest
+from ewr_fenicsx.problem.composition import list_unpressed
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.solution.loading_history import hold_in_place
 from ewr_fenicsx.solution.remedies import list_remedies
@@ -89,7 +90,8 @@ def solve(
     that tracing by itself. Weights of one's own that the first climb does not find, or that are far from the default
     ones, are come to from a solution with these, which takes all these rungs and is the answer itself where no way
     leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
-    (``newton_path.py``); each factorisation counts as a Newton step.
+    (``newton_path.py``); each factorisation counts as a Newton step. Where floating bodies touch that nothing presses,
+    the cold start is the only rung.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -193,6 +195,9 @@ def list_rungs(
         yield from (usual, cold) if fallbacks and has_far_weights(problem) else (cold, usual)
         return
     yield cold
+    loose = list_unpressed(problem, balance.system)
+    if np.any(problem.clearance[loose] <= 0):  # they lie where they touch, and each place off there is as good
+        return
     if not problem.frequency and balance.hangs_on_friction and not np.any(balance.held):
         yield "from where pairs are held in place", lambda _: start_held(problem, balance, tolerance, linear_solver)
     stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it

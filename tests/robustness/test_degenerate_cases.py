@@ -13,6 +13,7 @@ from hard_cases import TOLERANCE, run_case
 from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.elimination import REDUNDANCY
+from ewr_fenicsx.errors import NotConverged
 from ewr_fenicsx.solution.remedies import find_dependent_pairs, list_remedies
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
@@ -158,3 +159,36 @@ def test_pairs_that_depend_on_one_another_are_named_where_nothing_is_found():
     assert apart.merit["friction_dissipation"] == pytest.approx(alike.merit["friction_dissipation"], rel=1e-3)
     assert "The rows of pairs 0, 1 depend on one another" in list_remedies(alike)
     assert "depend on one another" not in list_remedies(apart)
+
+
+def stand_on_a_sprung_mass(load: float, clearance: float = 0.0) -> ContactProblem:
+    """A sprung mass pressed against the ground at pair 0; on it, at pairs 1 and 2, floats one with a mean ``load``."""
+    model = ReducedModel(
+        np.diag([1.0, 0.5, 0.5]),
+        0.05 * np.eye(3),
+        [[5.0, 0.0, 0.0], [0.0, 2.0, -2.0], [0.0, -2.0, 2.0]],
+        [[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]],
+        None,
+        {0: [-1.0, -load, -load], 1: [0.1, 0.2, -0.1]},
+        rigid_modes=[[0.0], [1.0], [1.0]],
+    )
+    return ContactProblem(
+        model, ContactLaws(tangential="frictionless", initial_gap=[0.0, clearance, clearance]), 0.3, 3
+    )
+
+
+def test_a_body_that_nothing_presses_is_named_after_the_cold_start():
+    """Wherever it does not touch is a solution, and Newton's matrix singular there: no rung is worth its steps."""
+    told = r"Nothing presses pairs 1, 2: no equilibrium has a mean force there.*Give each a mean load"
+    with pytest.raises(NotConverged, match=told) as refused:
+        solve(stand_on_a_sprung_mass(0.0))
+    assert refused.value.best.iterations < 60 and not refused.value.best.fallbacks
+    assert solve(stand_on_a_sprung_mass(1.0)).converged
+
+
+def test_a_body_that_nothing_presses_may_lie_anywhere():
+    """Found where it does not touch, which is said; under a mean load there is nothing to say."""
+    still = stand_on_a_sprung_mass(0.0)
+    still = replace(still, load={0: [-1.0, 0.0, 0.0]})
+    assert any(line.startswith("nothing presses pairs 1, 2: ") for line in solve(still).cautions)
+    assert not any("presses" in line for line in solve(stand_on_a_sprung_mass(1.0)).cautions)

@@ -13,6 +13,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.model.compliance import Responses, condense, scale_rigid_modes
 from ewr_fenicsx.model.receptance import find_normal_modes, receptance, solve_static
+from ewr_fenicsx.model.statics import find_unpressed
 
 ORDERS = (0, 1, 2, 5)
 INVERSES = ("inertia relief", "pinned")
@@ -198,6 +199,35 @@ def test_rigid_motions_that_contact_cannot_tell_apart_are_refused():
         condense(model, model.normal[:2], {}, 1.0, (0, 1))
     with pytest.raises(ModelError, match=r"3 rigid motions .* tell only 0 of them apart: .* add friction or pairs"):
         condense(model, model.normal[:0], {}, 1.0, (0, 1))  # given and bonded forces are none that could hold
+
+
+@pytest.mark.parametrize(
+    "normals, friction, load, unpressed",
+    [
+        ([(0, 1), (0, 1)], 0.3, [0.0, 0.0], [0, 1]),
+        ([(0, 1), (0, 1)], 0.3, [0.0, -1.0], []),
+        ([(0, 1), (0, 1)], 0.3, [0.0, -1e-7], []),
+        ([(0, 1), (0, -1)], 0.3, [0.0, 0.0], []),
+        ([(0.6, 0.8), (-0.6, 0.8)], 0.3, [0.0, 0.0], [0, 1]),
+        ([(0.8, 0.6), (-0.8, 0.6)], 0.8, [0.0, 0.0], []),
+        ([(0, 1), (1, 0)], 0.0, [0.0, -1.0], [1]),
+        ([(0, 1), (1, 0)], 0.3, [0.0, -1.0], []),
+        ([(0, 1), (0.5, 0.866)], 0.7, [0.0, -1.0], []),
+    ],
+    ids=[
+        "nothing acts", "pressed", "hardly pressed", "two stops", "a flat wedge", "a wedge that locks itself",
+        "beside it", "friction braces it", "one presses another",
+    ],
+)  # fmt: skip
+def test_pairs_go_unpressed_where_no_equilibrium_has_a_force_there(normals, friction, load, unpressed):
+    """A body in a plane that does not turn; the other pairs keep it from moving off or not."""
+    normal = np.array(normals, dtype=float)
+    tangential = normal[None] @ [[0.0, -1.0], [1.0, 0.0]]
+    none, all_that_push = np.zeros(2), np.full(2, np.inf)
+    found = find_unpressed(
+        normal, tangential, none, all_that_push, np.full(2, friction), np.array(load), np.zeros(2), none > 0
+    )
+    assert found == unpressed
 
 
 def test_bodies_without_any_stiffness_only_move_rigidly():

@@ -36,7 +36,8 @@ ORDER = {
         "hill", "floquet", "ring_growth", "stability", "walking",
     ],
     "solution": [
-        "loading_history", "indicators", "solution", "solution_series", "remedies", "contact_state", "symmetry",
+        "loading_history", "unpressed", "indicators", "solution", "solution_series", "remedies",
+        "contact_state", "symmetry",
     ],
     "solver": [
         "snes", "continuation", "newton_path", "splitting", "growing_sets", "warm_starts", "long_splitting", "ladder",
