@@ -16,6 +16,7 @@ import numpy as np
 UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 SLOW, WINDOW = 10, 8  # sweeps from which on they are extrapolated, and so many that this looks back on
 STRAYED, ROUNDING = 4.0, 1e-10  # times the square of a change before, from which on it starts anew; rounding in it
+FAR = 100.0  # times the largest change, up to which impulses are moved: what drifts on would be moved anywhere
 HUGE = 1e200  # square of changes, above which nothing is extrapolated
 
 
@@ -42,7 +43,7 @@ def step_through_period(
     free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
     echoed = np.zeros(echoes.size)
     u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
-    changed, last = np.zeros(m), np.zeros((3, m))
+    changed, begun, last = np.zeros(m), np.zeros((2, m)), np.zeros((3, m))
     differences, overlap = np.zeros((3, WINDOW, m)), np.zeros((WINDOW, WINDOW))
     if m > 0:
         np.dot(rows, v, u)
@@ -71,10 +72,11 @@ def step_through_period(
                     for j in range(m):
                         u_end[j] += delassus_columns[i, j] * p[i]
             solved = False
-            squares, known = 0.0, -1
+            begun[0], begun[1] = p, u_end
+            size, squares, known = 0.0, 0.0, -1
             for sweep in range(most_sweeps):
                 taken += 1
-                change = 0.0
+                change, size = 0.0, 0.0
                 changed[:] = p
                 for i in order:
                     t = twin[i]
@@ -103,17 +105,19 @@ def step_through_period(
                         if kind[i] == UNILATERAL:
                             new = max(0.0, new)
                     for row, value in ((i, new), (t, new_t)):
+                        size = max(size, abs(value))
                         step = value - p[row] if row >= 0 else 0.0
                         if step != 0.0:
                             p[row] = value
                             for j in range(m):
                                 u_end[j] += delassus_columns[row, j] * step
                             change = max(change, abs(step))
-                            largest = max(largest, abs(value))
-                if change <= tolerance * largest:
+                if change <= tolerance * max(largest, size):
                     solved = True
                     break
-                if sweep < SLOW or sweep > most_sweeps // 2:  # in the end without, as sweeps alone may yet arrive
+                if sweep == most_sweeps // 2:  # anew and without, as sweeps alone may yet arrive, and do not run away
+                    p[:], u_end[:] = begun[0], begun[1]
+                if sweep < SLOW or sweep >= most_sweeps // 2:
                     continue
                 before = squares
                 squares = 0.0
@@ -123,6 +127,7 @@ def step_through_period(
                 if sweep == SLOW or squares > STRAYED * before:
                     known = -1
                 known = extrapolate(known, changed, p, u_end, last, differences, overlap)
+            largest = max(largest, size)
             if not solved:
                 unsolved += 1
             np.dot(push, p, push_of_p)
@@ -149,6 +154,8 @@ def step_through_period(
 def extrapolate(known, changed, p, u_end, last, differences, overlap):
     """Moves impulses, and velocities with them, to where a sweep would change them least, were it linear.
 
+    Not far beside the change, though: where contact has no solution, as friction may jam, impulses drift on evenly.
+
     Args:
         known: How many earlier sweeps are looked back on; -1 where it starts anew, from the next one on.
         changed: ``(m,)`` by how much the sweep has changed the impulses.
@@ -174,8 +181,10 @@ def extrapolate(known, changed, p, u_end, last, differences, overlap):
     if 0.0 < trace < HUGE:  # else sweeps change all by the same, or a motion grows without bound
         normal = overlap[:used, :used] + ROUNDING * trace * np.eye(used)
         shares = np.linalg.solve(normal, np.dot(differences[0, :used], changed))
-        p -= np.dot(shares, differences[1, :used])
-        u_end -= np.dot(shares, differences[2, :used])
+        move = np.dot(shares, differences[1, :used])
+        if np.max(np.abs(move)) <= FAR * np.max(np.abs(changed)):
+            p -= move
+            u_end -= np.dot(shares, differences[2, :used])
     return known + 1
 
 

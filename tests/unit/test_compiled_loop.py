@@ -56,6 +56,15 @@ def test_extrapolation_leaves_what_changes_evenly_or_grows_without_bound(size):
     assert known == 2
 
 
+def test_extrapolation_does_not_run_after_what_drifts_on():
+    last, differences, overlap = np.zeros((3, 2)), np.zeros((3, WINDOW, 2)), np.zeros((WINDOW, WINDOW))
+    known = -1
+    for k, change in enumerate([1.0, 1.0 - 1e-6, 1.0 - 2e-6]):  # sweeps would end after a million
+        p, u = np.full(2, float(k)), np.zeros(2)
+        known = extrapolate(known, np.full(2, change), p, u, last, differences, overlap)
+        assert np.all(p == k)
+
+
 def test_pairs_that_stick_and_move_one_another_take_few_sweeps():
     """Their impulses are known: those that hold all pairs where they are."""
     result = integrate(press_a_strip(30, 5.0), steps=50, periods=1, tolerance=0, contact_tolerance=1e-11)
