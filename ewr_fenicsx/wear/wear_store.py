@@ -95,12 +95,14 @@ class TriedModels:
         more: Callable[[int], tuple[ContactProblem, Sequence[int]]] | None = None,
     ):
         self.tried, self.more = [(problem, modes)], more
+        self.counts: list[int] = []  # asked of ``more``, for all tried but the first
 
     def keep_more(self, count: int) -> tuple[ContactProblem, Sequence[int]]:
         """The unworn problem on a model with so many modes, and which of its coordinates are modal."""
         found = self.more(count)
         if all(found[0].model is not problem.model for problem, _ in self.tried):
             self.tried.append(found)
+            self.counts.append(count)
         return found
 
     def place(self, model: ReducedModel) -> int:
@@ -131,7 +133,7 @@ class WearFile:
             file.attrs["jump"], file.attrs["solves"], file.attrs["rough"] = state.jump, state.solves, state.rough
             file.attrs["stopped"] = state.stopped or ""
             file["leaps"] = [json.dumps(asdict(leap)) for leap in state.leaps]
-            file["modes_tried"] = np.array([len(modes) for _, modes in self.models.tried[1:]], dtype=int)
+            file["modes_tried"] = np.array(self.models.counts, dtype=int)
             file["pair_area"] = self.models.tried[0][0].model.areas
             self._write_steps(file.create_group("steps"), state.steps)
             self._write_steps(file.create_group("last"), [s for s in (state.earlier, state.latest) if s is not None])
