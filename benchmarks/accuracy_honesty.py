@@ -103,7 +103,10 @@ def find_reference(problem: ContactProblem, cap: float) -> Reference | None:
             rows = problem.system.rows.shape[0]
             if 2 * HIGH_ORDER * rows <= MOST_UNKNOWNS:
                 order = HIGHER_ORDER if rows <= FEW_ROWS else HIGH_ORDER
-                high = solve(replace(problem, harmonics=order, samples=16 * order), start=start)
+                finer = replace(problem, harmonics=order, samples=16 * order)
+                high = solve(finer, start=start)
+                if high.unstable:  # a warm start may end on a motion that others leave
+                    high = solve(finer)
     except (CapReached, EwrError) as error:
         print(f"         no harmonic reference: {type(error).__name__}")  # time stepping may still get there
     spectrum = replace(problem, harmonics=HIGH_ORDER)
