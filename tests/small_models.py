@@ -274,6 +274,19 @@ def block_on_feet(load: dict[int, object], slope: float = 0.0) -> ReducedModel:
     )
 
 
+def one_pressed_of_two() -> ReducedModel:
+    """Two masses in a row, along and across: the first is pressed on its pair, the second shaken beside its own."""
+    stiffness = 2.0 * np.eye(4) - 0.5 * (np.eye(4, k=1) + np.eye(4, k=-1))
+    return ReducedModel(
+        mass=np.eye(4),
+        damping=0.05 * stiffness,
+        stiffness=stiffness,
+        normal=np.eye(4)[1::2],
+        tangential=np.eye(4)[::2],
+        load={0: [0.0, -5.0, 0.0, 0.0], 1: [0.0, 0.0, 1.0, 0.3]},
+    )
+
+
 # Each kind of contact once, with what makes it special
 PROBLEMS = {
     "floating, slip": ContactProblem(dovetail(), ContactLaws(friction=0.2), 481.0, 5),
