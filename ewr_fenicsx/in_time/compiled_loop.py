@@ -97,9 +97,9 @@ def step_through_period(
                             if not sticks:
                                 most = 0.5 * (ii + tt) + np.hypot(0.5 * (ii - tt), 0.5 * (it + ti))
                                 new, new_t = p[i] - (u_end[i] + late[i]) / most, p[t] - (u_end[t] + late[t]) / most
-                                size = np.hypot(new, new_t)
-                                if size > limit:
-                                    new, new_t = new * limit / size, new_t * limit / size
+                                both = np.hypot(new, new_t)
+                                if both > limit:
+                                    new, new_t = new * limit / both, new_t * limit / both
                     else:
                         new = p[i] - (u_end[i] + gap[i] / dt) / delassus_columns[i, i]
                         if kind[i] == UNILATERAL:

@@ -18,10 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ewr_fenicsx.given import RealArray
-from ewr_fenicsx.laws.cone import ROUNDING, FrictionLaw, find_felt
+from ewr_fenicsx.laws.cone import FrictionLaw, find_felt
 from ewr_fenicsx.laws.law_kinds import Motion, Partial, Response
 
 ROUNDS = 100  # of a period in search of the momentum that comes back
+ROUNDING = 1e-14
 
 
 class Slide(NamedTuple):

@@ -259,13 +259,12 @@ def evolve_wear(
     if not (jump is None or isinstance(jump, Tolerance)):
         raise ModelError(f"jump = {jump!r}; give Tolerance(share=0.01) or the like, or None to solve every cycle")
     _check_choice(choice, accuracy)
-    store, more = None, choice.pop("more_modes", None)
-    models = TriedModels(problem, choice.get("modes", ()), more)
+    store, modes = None, choice.pop("modes", ())
+    models = TriedModels(problem, modes, choice.pop("more_modes", None))
     if file is not None:
-        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, choice)
+        stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, modes, choice)
         store = WearFile(Path(file), stated, models)
     state = store.read() if store else None
-    choice.pop("modes", None)
     judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice, models)
     run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     if store and (state is None or not run.is_done(state)):

@@ -82,3 +82,23 @@ def test_compiled_extrapolation_is_the_one_that_is_read(monkeypatch):
     plain = integrate(problem, steps=20, periods=1, tolerance=0, contact_tolerance=1e-12)
     assert plain.sweeps == pytest.approx(compiled.sweeps, rel=0.1) and compiled.sweeps > SLOW
     assert plain.last.impulses == pytest.approx(compiled.last.impulses, abs=1e-7 * np.abs(compiled.last.impulses).max())
+
+
+def test_impulses_that_slide_in_a_plane_meet_the_tolerance():
+    """Beside what pairs would take to stick, far beyond their limits, any change is small: these are not to be met."""
+    pairs = 4
+    line = 2 * np.eye(pairs) - np.eye(pairs, k=1) - np.eye(pairs, k=-1)
+    stiffness = 1e4 * np.kron(np.eye(3), line) + 1e2 * np.eye(3 * pairs)
+    rows = np.eye(3 * pairs)
+    model = ReducedModel(
+        mass=1e-2 * np.eye(3 * pairs),
+        damping=1e-4 * stiffness,
+        stiffness=stiffness,
+        normal=rows[:pairs],
+        tangential=rows[pairs:],
+        load={0: -np.repeat([1.0, 0.0, 0.0], pairs), 1: np.linspace(0.0, 2000.0, pairs) @ rows[pairs : 2 * pairs]},
+    )
+    problem = ContactProblem(model, ContactLaws(friction=0.1), frequency=20.0, harmonics=1)
+    runs = [integrate(problem, steps=60, periods=1, tolerance=0, contact_tolerance=c) for c in (1e-6, 1e-12)]
+    rough, fine = (run.last.impulses for run in runs)
+    assert np.abs(rough - fine).max() < 1e-5 * np.abs(fine).max()
