@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -22,22 +23,10 @@ _SEEN = 1e-6
 _SIDES, _FEW_SIDES = 32, 8
 
 
-def takes_friction(
-    normal_motion: RealArray,
-    tangential_motion: RealArray,
-    smallest: RealArray,
-    largest: RealArray,
-    friction: RealArray,
-    rigid_load: RealArray,
-    limit: RealArray,
-) -> bool:
-    """Whether it takes friction to hold the floating bodies, or normal forces do alone.
+class Statics(NamedTuple):
+    """Floating bodies at rest, and the mean forces that their pairs may carry.
 
-    A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
-    With two tangents a polygon stands for the disk ``|lam_T|``. The last answers are remembered: every frequency of a
-    sweep and every cycle of wear asks the same.
-
-    Args:
+    Attributes:
         normal_motion: ``(K, r)`` motion of the normal rows by the rigid modes.
         tangential_motion: ``(t, K, r)`` motion of the same pairs' ``t`` tangential rows, zero where a pair has none.
         smallest: ``(K,)`` least mean normal force: 0, -inf where bonded, ``largest`` where given [N].
@@ -45,12 +34,28 @@ def takes_friction(
         friction: ``(K,)`` coefficients of friction, zero where a pair has none.
         rigid_load: ``(r,)`` work of the mean load on the rigid modes [N].
         limit: ``(K,)`` tangential force that a pair carries whatever its normal force [N].
+    """
+
+    normal_motion: RealArray
+    tangential_motion: RealArray
+    smallest: RealArray
+    largest: RealArray
+    friction: RealArray
+    rigid_load: RealArray
+    limit: RealArray
+
+
+def takes_friction(statics: Statics) -> bool:
+    """Whether it takes friction to hold the floating bodies, or normal forces do alone.
+
+    A linear program over mean forces ``lam_N >= 0``, ``|lam_T| <= mu lam_N + limit`` for the smallest unbalanced load.
+    With two tangents a polygon stands for the disk ``|lam_T|``. The last answers are remembered: every frequency of a
+    sweep and every cycle of wear asks the same.
 
     Raises:
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens, or else slides along, most.
     """
-    arrays = normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit
-    return _takes_friction(*((array.tobytes(), array.shape) for array in arrays))
+    return _takes_friction(*((array.tobytes(), array.shape) for array in statics))
 
 
 @lru_cache(maxsize=64)
@@ -110,26 +115,16 @@ def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
     return True
 
 
-def find_unpressed(
-    normal_motion: RealArray,
-    tangential_motion: RealArray,
-    smallest: RealArray,
-    largest: RealArray,
-    friction: RealArray,
-    rigid_load: RealArray,
-    limit: RealArray,
-    pressed: np.ndarray,
-) -> list[int]:
+def find_unpressed(statics: Statics, pressed: np.ndarray) -> list[int]:
     """Pairs that no equilibrium presses, at floating bodies that no other contact keeps from moving off there.
 
     A normal force that never pulls and has no mean is zero throughout. Where neither the mean load asks for one nor
     others brace it, as a stop on the other side does, nothing touches the body, and where it lies is open. A linear
     program over the mean forces of ``takes_friction`` presses as many pairs as it can; those in doubt count as pressed.
 
-    Args:
-        normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit: As in ``takes_friction``.
-        pressed: ``(K,)`` pairs of which it is known that something presses them.
+    ``pressed``: ``(K,)`` pairs of which it is known that something presses them.
     """
+    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = statics
     size = max(np.abs(normal_motion).max(initial=1e-300), np.abs(tangential_motion).max(initial=0.0))
 
     def find_free(loose: np.ndarray) -> RealArray:

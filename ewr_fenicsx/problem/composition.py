@@ -26,7 +26,7 @@ from ewr_fenicsx.laws.law_kinds import (
 from ewr_fenicsx.model.compliance import DynamicCompliance, condense
 from ewr_fenicsx.model.receptance import GeneralisedInverse, measure_resistance
 from ewr_fenicsx.model.reduced_model import ReducedModel
-from ewr_fenicsx.model.statics import find_unpressed, takes_friction
+from ewr_fenicsx.model.statics import Statics, find_unpressed, takes_friction
 from ewr_fenicsx.problem.closure import compare_waves, find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
@@ -257,7 +257,7 @@ def find_friction_that_holds(problem: Statement, layout: Layout, compliance: Dyn
     Raises:
         UnheldBody: Nothing holds a body, or only the mean friction that ``static_friction = "zero"`` leaves out.
     """
-    return compliance.rigid_load.size > 0 and takes_friction(*pose_statics(problem, layout, compliance))
+    return compliance.rigid_load.size > 0 and takes_friction(pose_statics(problem, layout, compliance))
 
 
 def list_unpressed(problem: Statement, system: ContactSystem, pressed: np.ndarray | None = None) -> list[int]:
@@ -269,10 +269,10 @@ def list_unpressed(problem: Statement, system: ContactSystem, pressed: np.ndarra
     if system.compliance.rigid_load.size == 0 or problem.own_kinds:
         return []
     known = np.zeros(problem.model.pairs, dtype=bool) if pressed is None else pressed
-    return find_unpressed(*pose_statics(problem, system, system.compliance), known)
+    return find_unpressed(pose_statics(problem, system, system.compliance), known)
 
 
-def pose_statics(problem: Statement, layout: Layout, compliance: DynamicCompliance) -> tuple[RealArray, ...]:
+def pose_statics(problem: Statement, layout: Layout, compliance: DynamicCompliance) -> Statics:
     """What ``takes_friction`` and ``find_unpressed`` ask of floating bodies and of the mean forces of all pairs."""
     K = problem.model.pairs
     directions = DIRECTIONS[: 1 + max(1, problem.model.tangents)]
@@ -283,7 +283,7 @@ def pose_statics(problem: Statement, layout: Layout, compliance: DynamicComplian
         smallest[pairs], largest[pairs] = normal.smallest, normal.largest
         friction[pairs] = tangential.friction
         rubs[pairs] = np.minimum(-np.asarray(tangential.smallest), tangential.largest)
-    return motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs
+    return Statics(motion[0], motion[1:], smallest, largest, friction, compliance.rigid_load, rubs)
 
 
 def bound_mean(kind: LawKind, pairs: np.ndarray, total: int) -> MeanBound:

@@ -13,7 +13,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.errors import ModelError
 from ewr_fenicsx.model.compliance import Responses, condense, scale_rigid_modes
 from ewr_fenicsx.model.receptance import find_normal_modes, receptance, solve_static
-from ewr_fenicsx.model.statics import find_unpressed
+from ewr_fenicsx.model.statics import Statics, find_unpressed
 
 ORDERS = (0, 1, 2, 5)
 INVERSES = ("inertia relief", "pinned")
@@ -224,10 +224,8 @@ def test_pairs_go_unpressed_where_no_equilibrium_has_a_force_there(normals, fric
     normal = np.array(normals, dtype=float)
     tangential = normal[None] @ [[0.0, -1.0], [1.0, 0.0]]
     none, all_that_push = np.zeros(2), np.full(2, np.inf)
-    found = find_unpressed(
-        normal, tangential, none, all_that_push, np.full(2, friction), np.array(load), np.zeros(2), none > 0
-    )
-    assert found == unpressed
+    statics = Statics(normal, tangential, none, all_that_push, np.full(2, friction), np.array(load), np.zeros(2))
+    assert find_unpressed(statics, none > 0) == unpressed
 
 
 def test_bodies_without_any_stiffness_only_move_rigidly():
