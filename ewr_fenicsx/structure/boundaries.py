@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ewr_fenicsx.errors import MeshError, nearest
 from ewr_fenicsx.structure import _compat
-from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside
+from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside, number_faces
 
 _CLOSED = 1e-3  # distance of facets face to face that are one, over that from the middle of the cell beside them
 _NEAREST = 8  # facets among which one that lies on another is looked for
@@ -191,6 +191,26 @@ def mean_over_boundary(space, facets: np.ndarray, direction: Sequence[float]) ->
 def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
     """Global node numbers of local ones (int64)."""
     return space.dofmap.index_map.local_to_global(np.asarray(nodes, dtype=np.int32)).astype(np.int64)
+
+
+def gather_edges(mesh: JointMesh, space, facets: np.ndarray, nodes: np.ndarray) -> list[list[int]]:
+    """Nodes of a plane mesh's exterior facets: both ends and, of second order, the one between; collective.
+
+    Args:
+        mesh: With its bodies.
+        space: Of the displacements on it.
+        facets: Those that this rank holds, ghosts included.
+        nodes: Global numbers of the nodes of all ranks; edges have their places in it.
+    """
+    mesh.domain.topology.create_connectivity(mesh.dimension, mesh.dimension - 1)
+    cells, layout, mine = find_cells_beside(mesh, facets), space.dofmap.dof_layout, []
+    for cell, number in zip(cells, number_faces(mesh, cells, facets).tolist(), strict=True):
+        around = _compat.cell_dofs(space, [cell])[layout.entity_closure_dofs(1, number)]
+        first, last, *between = local_to_global(space, around).tolist()
+        mine.append((min(first, last), max(first, last), *between))
+    place = {int(node): k for k, node in enumerate(nodes)}
+    everyone = {edge for part in mesh.domain.comm.allgather(mine) for edge in part}  # ghosts once
+    return [[place[node] for node in edge] for edge in sorted(everyone)]
 
 
 def list_dofs(nodes: np.ndarray, dimension: int) -> np.ndarray:

@@ -25,6 +25,7 @@ from ewr_fenicsx.structure.pair_frames import (
     follow_rows,
     follow_tangent,
     measure_turn,
+    point_outward,
     turn_along_supports,
 )
 
@@ -46,7 +47,7 @@ class Interface:
         flanks: Names.
         flank_of_pair: Index into ``flanks``, ``(K_c,)``.
         position: ``(K_c, d)`` [m].
-        normal: Outward unit normal of body A, ``(K_c, d)``.
+        normal: Outward unit normal of body A, ``(K_c, d)``, as ``point_outward`` has it.
         tangents: ``(K_c, d - 1, d)`` unit vectors. The first is the normal turned by +90 degrees about the z axis (on a
             solid along ``e_z x normal``, or ``e_x x normal`` where that points along z), the second ``normal x first``.
         area: Tributary area, integral of the node's shape function times the thickness, ``(K_c,)`` [m^2].
@@ -333,8 +334,8 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str | None =
         turn[local],
     )
     nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
-    size = np.linalg.norm(normal, axis=1, keepdims=True)
-    return _Side(nodes, position, np.divide(normal, size, out=normal, where=size > 0), area, turn)
+    edges = boundaries.gather_edges(mesh, space, mine, nodes) if d == 2 else []
+    return _Side(nodes, position, point_outward(position, normal, edges), area, turn)
 
 
 def _pair_sides(

@@ -10,7 +10,52 @@ from ewr_fenicsx.errors import InterfaceError
 from ewr_fenicsx.structure.boundaries import tell_place
 
 STRAIGHT = 1.0  # degrees to which a flank is at right angles to what holds it
+_ALIKE = 2 / 3  # curvatures of neighbouring nodes, one over the other, from where on a side is round there
+_SAME = 1e-9  # angle between normals that are one but for rounding
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
+
+
+def point_outward(position: np.ndarray, normal: np.ndarray, edges: Sequence[Sequence[int]]) -> np.ndarray:
+    """Unit normals of a side's nodes ``(n, d)``; where it is round in a plane, of circles through neighbouring nodes.
+
+    Means over the edges that meet at a node are askew: by half the angle of an edge where a flank ends, and by half of
+    the difference where unlike edges meet. A pin in a part of a bore, which only friction keeps from turning, was
+    wedged by that, and turned until its last node jammed.
+
+    Args:
+        position: Of the nodes, ``(n, d)`` [m].
+        normal: ``integral N n ds``, ``(n, d)``.
+        edges: Of a plane side, both ends of each and the node between; of a solid's none.
+    """
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    unit = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0)
+    beside: list[list[int]] = [[] for _ in position]
+    for first, last, *between in edges:
+        beside[first].append(last)
+        beside[last].append(first)
+        for node in between:
+            beside[node] = [first, last]
+    along, bend = {}, {}
+    for k, others in enumerate(beside):
+        if len(others) == 2:
+            before, after = position[k] - position[others[0]], position[others[1]] - position[k]
+            along[k] = before / (before @ before) + after / (after @ after)  # the circle's own direction
+            sides = [np.linalg.norm(way) for way in (before, after, before + after)]
+            inwards = np.sign((after - before) @ unit[k])
+            bend[k] = inwards * 2 * abs(before[0] * after[1] - before[1] * after[0]) / np.prod(sides)
+    for k, others in enumerate(beside):
+        c = k if k in bend else others[0] if len(others) == 1 else None
+        near = [bend[i] for i in beside[c] if i in bend] if c in bend else []
+        if not near or not all(_ALIKE * bend[c] ** 2 < b * bend[c] < bend[c] ** 2 / _ALIKE for b in near):
+            continue  # straight, or from straight to round
+        x, y = along[c]
+        if c != k:  # an end: of the next node's circle, which makes the same angle with the edge between
+            edge = position[c] - position[k]
+            x, y = 2 * (along[c] @ edge) / (edge @ edge) * edge - along[c]
+        askew = unit[k] @ (x, y) / np.hypot(x, y)
+        if abs(askew) > _SAME:
+            unit[k] = np.array([y, -x]) / np.hypot(x, y) * np.sign(unit[k] @ (y, -x))
+    return unit
 
 
 def turn_tangents(normal: np.ndarray) -> np.ndarray:

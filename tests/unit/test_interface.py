@@ -18,6 +18,7 @@ from ewr_fenicsx.structure.elasticity import assemble_structure, body_nodes
 from ewr_fenicsx.structure.interface import _pair_sides, _Side, doubt_boundaries, pair_interface
 from ewr_fenicsx.structure.materials import TITANIUM
 from ewr_fenicsx.structure.mesh import build_mesh
+from ewr_fenicsx.structure.pair_frames import point_outward
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
 CORNERED = Path(__file__).parents[1] / "geometry" / "cornered.py"
@@ -280,6 +281,33 @@ def test_coarse_curves_are_no_corners(around):
     else:
         with pytest.raises(InterfaceError, match=f"a corner of {360 // around} degrees"):
             pair_interface(structure)
+
+
+@pytest.mark.parametrize("grading", [1.0, 1.2])
+@pytest.mark.parametrize(("order", "degree"), [(1, 1), (1, 2), (2, 2)])
+def test_normals_in_a_part_of_a_bore_are_those_of_the_circle(order, degree, grading):
+    """Where it ends they were askew by half of an edge's angle, and where unlike edges meet: a pin was wedged there."""
+    interface = pair_interface(assemble(BUSH, degree, order=order, quarters=2, grading=grading), ["joint"])
+    assert len(interface.area) == 8 * degree + 1
+    outward = interface.position / np.linalg.norm(interface.position, axis=1, keepdims=True)
+    np.testing.assert_allclose(interface.normal, outward, atol=1e-9)
+
+
+def test_only_round_parts_of_a_flank_have_normals_of_circles():
+    """Straight, with edges of 3 and 1, then round with edges of 0.1, and its last edge straight on, of 1."""
+    turn = np.radians([0, 0, 0, 6, 12, 18, 24, 27, 27])
+    length = np.array([3, 1, 1, 0.1, 0.1, 0.1, 0.1, 1, 1])
+    steps = length[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    position = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+    means = np.zeros_like(position)
+    for k, (x, y) in enumerate(steps):
+        means[k : k + 2] += 0.5 * np.array([y, -x])
+    straight = means / np.linalg.norm(means, axis=1, keepdims=True)
+    normal = point_outward(position, means, [(k, k + 1) for k in range(len(steps))])
+    round_ = [4, 5]
+    along = np.radians([9, 15])
+    np.testing.assert_array_equal(np.delete(normal, round_, axis=0), np.delete(straight, round_, axis=0))
+    np.testing.assert_allclose(normal[round_], np.column_stack([np.sin(along), -np.cos(along)]), atol=1e-12)
 
 
 @pytest.mark.parametrize("bodies", [("blade", "disk"), ("disk", "blade")])

@@ -9,12 +9,16 @@ friction forces of a few newtons, one in each direction, all laws hold: the ampl
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, integrate, solve
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, Scene, integrate, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
+from ewr_fenicsx.structure.chain import build_chain
+
+BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
 
 STIFFNESS, ARM, FRICTION, SIDEWAYS = 1e7, 0.05, 0.3, 25.0  # N/m, m, -, N
 
@@ -74,6 +78,28 @@ def test_a_soft_suspension_does_not_weigh_friction(suspension):
     solution = solve(problem)
     assert abs(solution.output("x")[1]) == pytest.approx(amplitude, rel=3e-3)
     assert not solution.fallbacks
+
+
+def test_a_pin_in_a_part_of_a_bore_hangs_on_friction_whatever_its_mesh():
+    """The normal at the last node was askew: the pin turned until that jammed, and sank a tenth more or less."""
+    sunk, shaken = {}, {}
+    for around, order in ((16, 1), (16, 2), (32, 2)):
+        scene = Scene(
+            geometry={"source": BUSH, "parameters": {"around": around, "order": order, "quarters": 2}},
+            elasticity={"degree": order},
+            contact={"flanks": ["joint"], "friction": 0.3},
+            loads={
+                "press": {"boundary": "tip", "force": [0.0, 1000.0]},
+                "shake": {"boundary": "tip", "force": [200.0, 0.0], "harmonic": 1},
+            },
+            outputs={axis: {"boundary": "tip", "direction": way} for axis, way in (("x", [1, 0]), ("y", [0, 1]))},
+            excitation={"frequency": 3000.0},
+        )
+        solution = solve(build_chain(scene).pose())
+        sunk[around, order] = solution.output("y")[0].real
+        shaken[around, order] = abs(solution.output("x")[1])
+    assert sunk[16, 1] == pytest.approx(sunk[32, 2], rel=0.03) and sunk[16, 2] == pytest.approx(sunk[32, 2], rel=0.01)
+    assert shaken[16, 2] == pytest.approx(shaken[32, 2], rel=0.03)
 
 
 def stuck_node(damping: float = 1e-3) -> tuple[ContactProblem, float]:
