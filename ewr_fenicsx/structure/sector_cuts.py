@@ -60,6 +60,11 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
     (low, at_low), (high, at_high) = (_gather_nodes(structure, name) for name in (ring.low, ring.high))
     centre = np.array(ring.centre)
     where = f"cyclic: {ring.sectors} sectors, of {360 / ring.sectors:.6g} degrees each"
+    if touching := {*low, *high} & {*interface.nodes_a, *interface.nodes_b}:
+        raise MeshError(
+            f"{where}: {len(touching)} nodes of the cuts are in contact; cut the sector elsewhere, or end the flank "
+            "short of the cuts"
+        )
     if len(low) != len(high):
         raise MeshError(
             f"{where}: {len(low)} nodes on {ring.low}, and {len(high)} on {ring.high}; mesh both cuts alike (in gmsh: "
@@ -78,8 +83,6 @@ def find_cuts(structure: Structure, interface: Interface, ring: Ring) -> SectorC
             f"{where}: {ring.low} and {ring.high} share {len(shared)} node{'s' * (len(shared) > 1)}, as at "
             f"{tell_place(at_low[low == shared[0]][0])}: on the axis a node would be one of all sectors; leave a bore"
         )
-    if touching := {*low, *high} & {*interface.nodes_a, *interface.nodes_b}:
-        raise MeshError(f"{where}: {len(touching)} nodes of the cuts are in contact; cut the sector elsewhere")
     of_cuts = np.isin(structure.part, np.unique(structure.part[np.concatenate([low, high])]))
     if find_free_motions(structure, of_cuts).size:
         raise MeshError(f"{where}: supports leave what its cuts bound free to move; clamp it, as at a hub")

@@ -103,6 +103,15 @@ def test_cuts_that_meet_on_the_axis_are_refused(build):
     assert len(build(pie.replace("bore = 0.0", "bore = 5e-3")).reduction.cuts.low) == 2 * 6  # 6 of 7 nodes are free
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_cuts_through_a_joint_are_refused_as_that(build, order):
+    """Two nodes are at one place there, and either may be the nearest: cuts alike were "up to 6e-15 m" apart."""
+    source = f'source = "{ROOT / "tests/geometry/shrunk_sector.py"}"\nparameters = {{ order = {order} }}'
+    scene = f"[geometry]\n{source}\n[elasticity]\ndegree = {order}\n[contact]\ninitial_gap = -1e-6\n"
+    with pytest.raises(MeshError, match="4 nodes of the cuts are in contact; cut the sector elsewhere"):
+        build(scene + '[cyclic]\nsectors = 12\nengine_order = 0\nlow = "low"\nhigh = "high"\n')
+
+
 @pytest.mark.parametrize(
     "change, error, told",
     [
