@@ -269,17 +269,18 @@ def evolve_wear(
     run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     if store and (state is None or not run.is_done(state)):
         check_place(store.path)
+    saved, since = state, time.monotonic()  # what the file holds, and since when
     state = state or run.begin()
-    saved, since = state if store else None, time.monotonic()
+    solves = state.solves
     try:
         with count_progress("wear", cycles, progress) as report:
             report(state.latest.cycle)
             for state in run.go_on(state):  # noqa: B020
                 report(state.latest.cycle)
                 due = time.monotonic() - since >= WORTH  # where solves are slow, fewer of them
-                if store and (due or state.solves - saved.solves >= checkpoint_every):
+                if store and (due or state.solves - solves >= checkpoint_every):
                     store.write(state)
-                    saved, since = state, time.monotonic()
+                    saved, solves, since = state, state.solves, time.monotonic()
     finally:
         if store and state is not saved:
             store.write(state)

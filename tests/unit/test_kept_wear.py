@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from small_models import dovetail
 
 from ewr_fenicsx import ContactLaws, ContactProblem, Tolerance, evolve_wear
@@ -74,6 +75,16 @@ def test_slow_solves_are_kept_as_they_are_found(worth, versions, tmp_path, monke
     problem = ContactProblem(dovetail(excitation=200.0), ContactLaws(friction=0.2), 600.0)
     evolve_wear(problem, 5, 1e-10, file=tmp_path / "wear.h5", progress=False)
     assert len(written) == versions
+
+
+def test_the_first_solution_outlives_an_interruption_of_the_first_step(tmp_path, monkeypatch):
+    """With an accuracy it is by far the longest of all, and was lost."""
+    run = lambda: evolve_wear(pose(), 2, WEAR, file=tmp_path / "wear.h5", progress=False)  # noqa: E731
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        count_calls(patch, cycle_jumps.WearRun, "advance", 0)
+        run()
+    monkeypatch.setattr(cycle_jumps.WearRun, "begin", lambda _: pytest.fail("began anew"))
+    assert run().cycles.tolist() == [0, 1, 2]
 
 
 def test_a_resumed_run_shows_at_once_what_is_done(tmp_path, monkeypatch):
