@@ -29,7 +29,8 @@ from ewr_fenicsx.wear.wear_store import Leap, WearState, WearStep
 SAFETY = 0.9  # of the jump that the error or the limit of stability would allow
 GROWTH = 4.0  # of one jump over the one before, at most; none after one that led to no solution
 CHECK_EVERY = 20  # cycles between checks that a cycle is below the limit, where each is solved
-REMEDY = "lower the wear coefficient, or let wear pass as a flow: Tolerance(damped=True)"  # of too much in a cycle
+LOWER = "lower the wear coefficient (in 1/Pa, mostly below 1e-9)"  # where a cycle wears too much
+REMEDY = f"{LOWER}, or let wear pass as a flow: Tolerance(damped=True)"
 GAMMA = 1 - 1 / np.sqrt(2)  # of ROS2: damps the fastest parts of the wear completely
 AMPLE = 2.0  # of the stiffness that a jump has shown: the next one may meet more of it
 

@@ -27,11 +27,12 @@ from ewr_fenicsx.response.solution_store import fingerprint
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.solution_series import SolutionSeries
 from ewr_fenicsx.wear.archard import measure_wear_rate
-from ewr_fenicsx.wear.cycle_jumps import Tolerance, WearRun
+from ewr_fenicsx.wear.cycle_jumps import LOWER, Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear.wear_store import Leap, TriedModels, WearFile, WearStep
 from ewr_fenicsx.whole_files import check_place, write_table
 
+MOST = 10**12  # cycles, as in a scene: more do not fit where they are counted
 WORTH = 10.0  # seconds of work that are worth a new version of the file
 
 
@@ -88,7 +89,7 @@ class WearHistory(SolutionSeries):
         if self.rough:
             lines.append(
                 f"  NOT within the tolerance: each of {self.rough} cycles wore more than contact can follow, and their "
-                "depth is rough; lower the wear coefficient"
+                f"depth is rough; {LOWER}"
             )
         if self.leaps:
             at, most = list_few([leap.cycle for leap in self.leaps], "steps"), max(leap.change for leap in self.leaps)
@@ -241,10 +242,10 @@ def evolve_wear(
         OutputError: ``file`` cannot be written, which is looked at first; or holds another run, or none.
     """
     check_problem(problem)
-    if not all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)):
+    if not (all(is_whole(count, 1) for count in (cycles, keep_every, checkpoint_every)) and cycles <= MOST):
         raise ModelError(
             f"cycles = {cycles!r}, keep_every = {keep_every!r}, checkpoint_every = {checkpoint_every!r}; give whole "
-            "numbers from 1"
+            f"numbers from 1, and up to {MOST:.0e} cycles"
         )
     cycles, keep_every = int(cycles), int(keep_every)
     rates = read_coefficient(problem, coefficient)

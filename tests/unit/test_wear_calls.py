@@ -246,6 +246,7 @@ def test_nothing_wears_at_rest():
         ({"cycles": 2.5}, "cycles = 2.5, .*; give whole numbers from 1"),
         ({"cycles": np.inf}, "cycles = inf, .*; give whole numbers from 1"),
         ({"cycles": "many"}, "cycles = 'many', .*; give whole numbers from 1"),
+        ({"cycles": 10**20}, "cycles = 100000000000000000000, .*, and up to 1e.12 cycles"),
         ({"keep_every": 0}, "keep_every = 0, .*; give whole numbers from 1"),
         ({"deepest": -1}, r"deepest = -1; give a positive depth \[m\], or None"),
         ({"deepest": np.nan}, "deepest = nan; give a positive depth"),
