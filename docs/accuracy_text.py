@@ -47,7 +47,8 @@ sign of the Jacobian's determinant differs. A branch that does not show at all w
 **Wear.** The same is asked of the wear rate, by its largest error over its largest value: where most pairs stick,
 outputs estimated to be right within 1 % may come with a worn depth that is off by more than 6 % (a case of
 `tests/verification/test_wear.py`). Harmonics are chosen for the unworn joint and checked again at every step that is
-kept; jumps have the same accuracy unless `wear.tolerance` gives their own. Where nothing wears though pairs pass
+kept; jumps have the same accuracy unless `wear.tolerance` gives their own. Where wear has all but died out, an error of
+its rate counts over a tenth of the mean one, the depth worn so far by all cycles. Where nothing wears though pairs pass
 each other while they are open, what the truncated force would wear of that is asked in its place: with few harmonics
 pairs stick at once where they land, and the rest of that force tells that they may not. A test holds the worn depth to
 twice the accuracy: one share for the jumps, one for the rates. `wear.csv` has the same two columns.

@@ -115,10 +115,11 @@ def _estimate(study: Study) -> tuple[list[str], dict[str, float | None] | None]:
     if not solution.problem.frequency:
         return [], None
     if chain.scene.wear is not None:
-        from ewr_fenicsx.wear.archard import measure_wear_rate
+        from ewr_fenicsx.wear.archard import weigh_wear_rate
 
         coefficient = spread_wear(chain.scene, chain.interface)
-        what, rate = "the response and the wear rate", lambda solution: measure_wear_rate(solution, coefficient)
+        pace = float(solution.problem.wear.max()) / chain.scene.wear.cycles
+        what, rate = "the response and the wear rate", lambda there: weigh_wear_rate(there, coefficient, pace)
     try:
         estimate = estimate_at_once(solution, list_modes(chain), rate)
     except (EwrError, MemoryError) as error:  # the results are there, and not to be lost for it

@@ -16,6 +16,7 @@ from ewr_fenicsx.solution.indicators import measure_sliding
 from ewr_fenicsx.solution.solution import PeriodicSolution
 
 SAMPLES = 1024  # of the period, for integrals over a cycle
+SLOW = 0.1  # times the wear of all cycles on average
 _RIGID = 1e-12  # flexibility of pairs to one another, over their own, below which it is rounding
 
 
@@ -30,6 +31,18 @@ def measure_wear_rate(solution: PeriodicSolution, coefficient: RealArray) -> Rea
     force, speed = solution.press_and_slide(SAMPLES)
     worn = coefficient * period * np.mean(force / solution.problem.model.areas * speed, axis=0)
     return np.maximum(0.0, worn)
+
+
+def weigh_wear_rate(solution: PeriodicSolution, coefficient: RealArray, pace: float) -> RealArray:
+    """The wear rate, and beside it what is slow: errors of a rate that is slower count over that, ``(K_c + 1,)`` [m].
+
+    What has all but worn away is off by more than itself, and adds nothing to a depth.
+
+    Args:
+        solution, coefficient: As in ``measure_wear_rate``.
+        pace: Depth that a cycle wears on average [m].
+    """
+    return np.append(measure_wear_rate(solution, coefficient), SLOW * pace)
 
 
 def find_wear_stiffness(solution: PeriodicSolution, coefficient: RealArray) -> RealArray:

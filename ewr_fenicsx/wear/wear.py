@@ -26,7 +26,7 @@ from ewr_fenicsx.progress import count_progress
 from ewr_fenicsx.response.solution_store import fingerprint
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.solution_series import SolutionSeries
-from ewr_fenicsx.wear.archard import measure_wear_rate
+from ewr_fenicsx.wear.archard import weigh_wear_rate
 from ewr_fenicsx.wear.cycle_jumps import LOWER, Tolerance, WearRun
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear.wear_store import Leap, TriedModels, WearFile, WearStep
@@ -74,7 +74,8 @@ class WearHistory(SolutionSeries):
             lines.append(f"  estimated errors up to {np.nanmax(self.estimates):.1g} of {self.accuracy:g} asked")
         elif np.any(self.rate[-1]):
             remedy = "evolve_wear(..., accuracy=0.01) takes as many harmonics as that needs"
-            told = tell_error(last, what, remedy, lambda there: measure_wear_rate(there, self.coefficient))
+            pace = float((self.depth[-1] - self.depth[0]).max()) / max(1, self.cycles[-1])
+            told = tell_error(last, what, remedy, lambda there: weigh_wear_rate(there, self.coefficient, pace))
             lines.append(f"  in the end {told}")
         return "\n".join(lines + [f"  in the end {line}" for line in last.list_reservations()])
 
@@ -266,7 +267,7 @@ def evolve_wear(
         stated = fingerprint(problem, cycles, rates, jump, keep_every, deepest, tolerance, accuracy, modes, choice)
         store = WearFile(Path(file), stated, models)
     state = store.read() if store else None
-    judge = None if accuracy is None else AccurateWear(problem, rates, accuracy, tolerance, choice, models)
+    judge = None if accuracy is None else AccurateWear(problem, cycles, rates, accuracy, tolerance, choice, models)
     run = WearRun(problem, cycles, rates, jump, keep_every, deepest, tolerance, judge)
     if store and (state is None or not run.is_done(state)):
         check_place(store.path)

@@ -1,9 +1,10 @@
 """Wear to an accuracy: harmonics, samples and weights chosen for the fresh joint, and again where it has changed.
 
 What is asked of the outputs is asked of the wear rate as well, which may take far more harmonics: where most pairs
-stick, the outputs hardly know of those that slide. Where nothing wears, that may be for want of harmonics: few of them
-see pairs stick at once where they land. What the truncated force would wear of what passes by, which more of them take
-away, is then judged in its place.
+stick, the outputs hardly know of those that slide. Where it has all but died out, its error counts by what it adds to
+the depth over all cycles. Where nothing wears, that may be for want of harmonics: few of them see pairs stick at
+once where they land. What the truncated force would wear of what passes by, which more of them take away, is then
+judged in its place.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ewr_fenicsx.given import RealArray
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.weights import adopt_weights
-from ewr_fenicsx.wear.archard import SAMPLES, measure_wear_rate
+from ewr_fenicsx.wear.archard import SAMPLES, measure_wear_rate, weigh_wear_rate
 from ewr_fenicsx.wear.wear_store import TriedModels, WearStep
 
 
@@ -29,6 +30,7 @@ class AccurateWear:
 
     Args:
         problem: The unworn problem; weights that it gives are kept.
+        cycles: Number of cycles to follow.
         coefficient: ``(K_c,)`` wear coefficients [1/Pa].
         accuracy, tolerance: As in ``solve_to_accuracy``.
         choice: Further arguments of ``solve_to_accuracy``: what limits modes, highest harmonic.
@@ -38,6 +40,7 @@ class AccurateWear:
     def __init__(
         self,
         problem: ContactProblem,
+        cycles: int,
         coefficient: RealArray,
         accuracy: float,
         tolerance: float,
@@ -45,7 +48,7 @@ class AccurateWear:
         models: TriedModels,
     ):
         self.problem, self.coefficient, self.accuracy, self.tolerance = problem, coefficient, accuracy, tolerance
-        self.choice, self.models = choice, models
+        self.cycles, self.choice, self.models = cycles, choice, models
 
     def begin(self, depth: RealArray) -> WearStep:
         """The first step, with as many harmonics as it takes.
@@ -79,12 +82,14 @@ class AccurateWear:
 
     def _judged_rate(self, solution: PeriodicSolution) -> RealArray:
         """The wear rate; where there is none, that by the truncated force, which presses on what passes by as well."""
-        rate = self._rate(solution)
-        if np.any(rate):
-            return rate
+        pace = float((solution.problem.clearance - self.problem.clearance).max()) / self.cycles
+        judged = weigh_wear_rate(solution, self.coefficient, pace)
+        if np.any(judged[:-1]):
+            return judged
         force, period = np.maximum(0.0, solution.history("normal_force", SAMPLES)), 1 / solution.problem.frequency
         passed = np.mean(force / solution.problem.model.areas * solution.sliding_speed(SAMPLES), axis=0)
-        return self.coefficient * period * passed
+        judged[:-1] = self.coefficient * period * passed
+        return judged
 
     def _solve(self, problem: ContactProblem, start: PeriodicSolution | None, first: int | None) -> AccurateSolution:
         models, depth = self.models, problem.wear

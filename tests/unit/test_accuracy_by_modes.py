@@ -200,7 +200,7 @@ def test_wear_that_finds_nothing_with_more_modes_goes_on_with_those_that_it_has(
         return ContactProblem(model, ContactLaws(friction=0.2), 0.05), range(6, 6 + count)
 
     problem, modes = keep(1)
-    judge = AccurateWear(problem, np.full(2, 1e-6), 0.1, 1e-8, {"most_modes": 1}, TriedModels(problem, modes, keep))
+    judge = AccurateWear(problem, 10, np.full(2, 1e-6), 0.1, 1e-8, {"most_modes": 1}, TriedModels(problem, modes, keep))
     fresh = judge.begin(np.zeros(2))
     assert fresh.estimate > 0.1, "or there is no need for more"
     find = levels.solve

@@ -289,7 +289,7 @@ def test_what_an_accuracy_of_wear_cannot_mean():
 def test_weights_of_the_problem_are_kept_where_wear_is_judged_anew():
     """A solution that was found with default weights only is left, and not for good."""
     problem = replace(pose(), rho_normal=1e6, rho_tangential=50.0)
-    judge = AccurateWear(problem, np.full(6, WEAR), 1e-6, 1e-8, {"highest": 6}, TriedModels(problem))
+    judge = AccurateWear(problem, 10, np.full(6, WEAR), 1e-6, 1e-8, {"highest": 6}, TriedModels(problem))
     went_back = solve(replace(problem, rho_normal=None, rho_tangential=None))
     asked = []
     judge._solve = lambda posed, start, first: asked.append(posed) or solve_to_accuracy(posed, 0.5)
