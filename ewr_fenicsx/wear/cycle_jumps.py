@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,8 +22,10 @@ from ewr_fenicsx.given import RealArray, is_positive, is_whole
 from ewr_fenicsx.problem.contact_problem import ContactProblem
 from ewr_fenicsx.response.following import solve_from
 from ewr_fenicsx.response.refining import measure_gap
+from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solver.newton import solve
 from ewr_fenicsx.wear.archard import find_explicit_limit, find_wear_stiffness, measure_wear_rate
+from ewr_fenicsx.wear.same_place import PairsAtOnePlace
 from ewr_fenicsx.wear.wear_accuracy import AccurateWear
 from ewr_fenicsx.wear.wear_store import Leap, WearState, WearStep
 
@@ -93,6 +96,11 @@ class WearRun:
     tolerance: float
     judge: AccurateWear | None
 
+    @cached_property
+    def places(self) -> PairsAtOnePlace:
+        """Pairs that wear level because they are at one place."""
+        return PairsAtOnePlace(self.problem, self.coefficient)
+
     def begin(self) -> WearState:
         """The first state: the joint as it is given.
 
@@ -101,10 +109,10 @@ class WearRun:
         """
         depth = np.zeros(self.problem.model.pairs) if self.problem.wear is None else np.array(self.problem.wear)
         if self.judge:
-            first = self.judge.begin(depth)
+            first = self._level(self.judge.begin(depth))
         else:
             solution = solve(replace(self.problem, wear=depth), tolerance=self.tolerance)
-            first = WearStep(0, depth, measure_wear_rate(solution, self.coefficient), solution)
+            first = self._take(0, depth, solution)
         return WearState(first, None, self.jump.first if self.jump else 1, 1, 0, (first,), None)
 
     def go_on(self, state: WearState) -> Iterator[WearState]:
@@ -200,7 +208,7 @@ class WearRun:
         return self._stop(state, f"pair {pair} has worn {ahead.depth[pair]:.3g} m deep, more than {self.deepest:g} m")
 
     def _look_at(self, state: WearState, step: WearStep) -> tuple[WearState, WearStep]:
-        looked = self.judge.look_at(step)
+        looked = self._level(self.judge.look_at(step))
         return state if looked.solution is step.solution else _add_leap(state, [looked]), looked
 
     def _stop(self, state: WearState, why: str) -> WearState:
@@ -233,6 +241,7 @@ class WearRun:
         self, latest: WearStep, earlier: WearStep | None, depth: RealArray, length: int, *, fallbacks: bool
     ) -> WearStep:
         """The step so many cycles later with a worn depth; without ``fallbacks`` a shorter jump is the remedy."""
+        depth = self.places.level(depth)
         problem = replace(latest.solution.problem, wear=depth)
         ratio = length / (latest.cycle - earlier.cycle) if earlier else 0.0
         before = earlier.solution if earlier else None
@@ -241,7 +250,14 @@ class WearRun:
             if not fallbacks:
                 raise NotConverged(f"no solution near that before the jump: {solution.reason}", best=solution)
             solution = solve(problem, latest.solution, self.tolerance)
-        return WearStep(latest.cycle + length, depth, measure_wear_rate(solution, self.coefficient), solution)
+        return self._take(latest.cycle + length, depth, solution)
+
+    def _take(self, cycle: int, depth: RealArray, solution: PeriodicSolution) -> WearStep:
+        return self._level(WearStep(cycle, depth, measure_wear_rate(solution, self.coefficient), solution))
+
+    def _level(self, step: WearStep) -> WearStep:
+        """The step with a rate that keeps pairs at one place level."""
+        return replace(step, rate=self.places.level_rate(step.depth, step.rate))
 
 
 def _find_share_shown(state: WearState, decay: RealArray) -> float:

@@ -47,7 +47,7 @@ ORDER = {
     "response": [
         "solution_store", "following", "sweep_store", "refining", "response_curve", "frequency_sweep",
     ],
-    "wear": ["archard", "wear_store", "wear_accuracy", "cycle_jumps", "wear"],
+    "wear": ["archard", "wear_store", "wear_accuracy", "same_place", "cycle_jumps", "wear"],
     "scene": [
         "scene_errors", "scene_entries", "scene_structure", "scene_joint", "scene_sense", "scene", "scene_reference",
         "effects",
