@@ -30,7 +30,7 @@ from ewr_fenicsx.model.statics import Statics, find_unpressed, takes_friction
 from ewr_fenicsx.problem.closure import compare_waves, find_masses, find_own_springs, find_springs
 from ewr_fenicsx.problem.contact_system import ContactSystem
 from ewr_fenicsx.problem.harmonics import FourierBasis
-from ewr_fenicsx.problem.layout import Layout, demand_rows, lay_out
+from ewr_fenicsx.problem.layout import Layout, demand_rows, lay_out, share_in_plane
 
 # Times the flexibility against stiffness and inertia together, above which a row's static one is that of soft springs,
 # far below their resonance, and not the pair's: five times a mode's frequency changes nothing.
@@ -89,7 +89,8 @@ def compose(problem: Statement) -> ContactSystem:
     flexibility = layout.static_flexibility + layout.mobility / (problem.omega or 1.0) ** 2
     if problem.omega:  # a soft suspension says nothing of how a body moves far above its mode
         usual = layout.rows_in(wave := layout.usual_wave)
-        flexibility = np.minimum(flexibility, SOFT * measure_resistance(layout.model, usual, problem.omega, wave))
+        resistance = measure_resistance(layout.model, usual, problem.omega, wave)
+        flexibility = np.minimum(flexibility, SOFT * share_in_plane(layout.index, resistance))
     rows = layout.rows, load, problem.omega, basis.orders, problem.generalised_inverse, layout.next_rows
     compliance = condense(layout.model, *rows)
     rubs_to_hold = find_friction_that_holds(problem, layout, compliance)

@@ -145,11 +145,8 @@ def lay_out(model: ReducedModel, demands: tuple[Demand, ...]) -> Layout:
     reached = np.linalg.norm(np.abs(whole) @ np.abs(expansion), axis=1)
     _refuse_immobile(np.linalg.norm(usual, axis=1) <= _ROUNDED * reached, index)
     flexibility, mobility = measure_flexibility(kept, usual, wave)
-    if set(TANGENTS) <= index.keys():  # one for both: nothing depends on where they point
-        twins = np.array([index[direction] for direction in TANGENTS])
-        twins = twins[:, np.all(twins >= 0, axis=0)]
-        flexibility[twins] = flexibility[twins].mean(axis=0)
-        mobility[twins] = np.where(flexibility[twins] > 0, 0.0, mobility[twins].mean(axis=0))
+    flexibility, mobility = share_in_plane(index, flexibility), share_in_plane(index, mobility)
+    mobility[flexibility > 0] = 0.0
     next_rows = None if next_rows is None else next_rows @ expansion
     rows = rows @ expansion if wave else usual
     return Layout(kept, expansion, rows, next_rows, index, flexibility, mobility)
@@ -279,6 +276,21 @@ def _advise(direction: str, moves_in_plane: bool) -> str:
             "say by 45 degrees: friction has no preferred direction"
         )
     return "leave the pair out, or make it frictionless"
+
+
+def share_in_plane(index: Mapping[str, np.ndarray], of_rows: RealArray) -> RealArray:
+    """The mean of both tangents of a pair in place of each, ``(m,)``: nothing depends on where in the plane they point.
+
+    Args:
+        index: Direction -> ``(K_c,)`` row of each pair, -1 where it has none.
+        of_rows: ``(m,)`` flexibilities [m/N] or mobilities [1/kg] of rows; pairs with one tangent keep theirs.
+    """
+    shared = of_rows.copy()
+    if set(TANGENTS) <= index.keys():
+        twins = np.array([index[direction] for direction in TANGENTS])
+        twins = twins[:, np.all(twins >= 0, axis=0)]
+        shared[twins] = of_rows[twins].mean(axis=0)
+    return shared
 
 
 def measure_flexibility(
