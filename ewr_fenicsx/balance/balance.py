@@ -80,19 +80,28 @@ class HarmonicBalance:
     @cached_property
     def cold_start(self) -> tuple[ComplexArray, RealArray]:
         """``full_stick`` of all pairs but those with wide gaps, which are apart."""
-        if not np.any(self.wide_gaps):
-            return self.full_stick
-        apart, joined = self.system.spread(self.wide_gaps, "normal") > 0, np.ones(self.rows, dtype=bool)
-        for rows in self.system.index.values():
-            joined[rows[apart & (rows >= 0)]] = False
-        return self._stick(np.where(joined, self.static_target, np.nan), joined)
+        return self._start[1]
 
-    @cached_property
+    @property
     def wide_gaps(self) -> RealArray:
         """``(m,)`` gaps that full stick pulls shut by over ``MOST`` times what holds all pairs in place, else 0 [m]."""
-        gap = np.maximum(0.0, -np.nan_to_num(self.static_target))
-        pulls = -self.full_stick[0][0].real if self.basis.has_mean else np.zeros(self.rows)
-        return np.where(pulls > MOST * float(np.linalg.norm(self._in_place)), gap, 0.0)
+        return np.where(self._start[0], -self.static_target, 0.0)
+
+    @cached_property
+    def _start(self) -> tuple[np.ndarray, tuple[ComplexArray, RealArray]]:
+        """Which rows ``(m,)`` have wide gaps, and ``cold_start``.
+
+        Of many gaps on few coordinates no motion closes all: some are pushed apart until others are left open.
+        """
+        gaps, wide, stick = self.static_target < 0, np.zeros(self.rows, dtype=bool), self.full_stick
+        most = MOST * float(np.linalg.norm(self._in_place))
+        while self.basis.has_mean and np.any(more := gaps & ~wide & (-stick[0][0].real > most)):
+            wide, joined = wide | more, np.ones(self.rows, dtype=bool)
+            apart = self.system.spread(wide, "normal")
+            for rows in self.system.index.values():
+                joined[rows[apart & (rows >= 0)]] = False
+            stick = self._stick(np.where(joined, self.static_target, np.nan), joined)
+        return wide, stick
 
     @cached_property
     def static_target(self) -> RealArray:

@@ -124,6 +124,22 @@ def test_pairs_with_wide_gaps_are_apart_to_begin_with(harmonics):
     assert solution.converged and solution.iterations == 0 and not solution.fallbacks
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_many_wide_gaps_on_few_coordinates_are_all_apart(seed):
+    """No motion closes them all: full stick pushes half of them apart as it pulls the others shut."""
+    random, size = np.random.default_rng(seed), 12
+    shapes, (normal, tangential) = random.normal(size=(size, size)), random.normal(size=(2, 60, size))
+    stiffness = np.eye(size) + shapes @ shapes.T / size
+    load = {0: -5.0 * normal[:2].sum(axis=0), 1: random.normal(size=size)}
+    gap = np.where(np.arange(60) < 2, 0.0, 1e3)
+    model = ReducedModel(np.eye(size), 0.1 * stiffness, stiffness, normal, tangential, load)
+    problem = ContactProblem(model, ContactLaws(friction=0.3, initial_gap=gap), 0.1, 5)
+    balance = HarmonicBalance(problem.system)
+    np.testing.assert_array_equal(problem.system.spread(balance.wide_gaps, "normal"), gap)
+    solution = solve(problem)
+    assert solution.converged and solution.iterations == 0 and not solution.fallbacks
+
+
 def test_no_gap_is_wide_that_a_body_left_to_itself_closes():
     model = ReducedModel(
         mass=np.eye(2),
