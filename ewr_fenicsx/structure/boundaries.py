@@ -15,6 +15,7 @@ from ewr_fenicsx.structure import _compat
 from ewr_fenicsx.structure.mesh import JointMesh, find_body_of_cells, find_cells_beside, number_faces
 
 _CLOSED = 1e-3  # distance of facets face to face that are one, over that from the middle of the cell beside them
+_OF_QUADRILATERALS = (4, 9)  # nodes of their facets, of first and of second order
 _NEAREST = 8  # facets among which one that lies on another is looked for
 _EDGE = 1e-6  # of a facet's size, by which what lies on its edge may be outside
 
@@ -193,8 +194,10 @@ def local_to_global(space, nodes: np.ndarray) -> np.ndarray:
     return space.dofmap.index_map.local_to_global(np.asarray(nodes, dtype=np.int32)).astype(np.int64)
 
 
-def gather_edges(mesh: JointMesh, space, facets: np.ndarray, nodes: np.ndarray) -> list[list[int]]:
-    """Nodes of a plane mesh's exterior facets: both ends and, of second order, the one between; collective.
+def gather_facets(mesh: JointMesh, space, facets: np.ndarray, nodes: np.ndarray) -> list[list[list[int]]]:
+    """Edges of exterior facets: both ends and, of second order, the node between; collective. Of triangles none.
+
+    A facet of a plane mesh is one edge, a quadrilateral has four.
 
     Args:
         mesh: With its bodies.
@@ -202,15 +205,20 @@ def gather_edges(mesh: JointMesh, space, facets: np.ndarray, nodes: np.ndarray) 
         facets: Those that this rank holds, ghosts included.
         nodes: Global numbers of the nodes of all ranks; edges have their places in it.
     """
-    mesh.domain.topology.create_connectivity(mesh.dimension, mesh.dimension - 1)
-    cells, layout, mine = find_cells_beside(mesh, facets), space.dofmap.dof_layout, []
+    d, mine = mesh.dimension, []
+    mesh.domain.topology.create_connectivity(d, d - 1)
+    cells, layout = find_cells_beside(mesh, facets), space.dofmap.dof_layout
     for cell, number in zip(cells, number_faces(mesh, cells, facets).tolist(), strict=True):
-        around = _compat.cell_dofs(space, [cell])[layout.entity_closure_dofs(1, number)]
-        first, last, *between = local_to_global(space, around).tolist()
-        mine.append((min(first, last), max(first, last), *between))
+        around = _compat.cell_dofs(space, [cell])[layout.entity_closure_dofs(d - 1, number)]
+        around = local_to_global(space, around).tolist()
+        if d == 3 and len(around) not in _OF_QUADRILATERALS:
+            continue
+        corners = [(0, 1)] if d == 2 else [(0, 1), (0, 2), (1, 3), (2, 3)]
+        numbered = enumerate(corners, 2 ** (d - 1))  # nodes between follow the corners, if there are any
+        mine.append([(*sorted((around[i], around[j])), *around[k : k + 1]) for k, (i, j) in numbered])
     place = {int(node): k for k, node in enumerate(nodes)}
-    everyone = {edge for part in mesh.domain.comm.allgather(mine) for edge in part}  # ghosts once
-    return [[place[node] for node in edge] for edge in sorted(everyone)]
+    everyone = {tuple(sorted(facet)) for part in mesh.domain.comm.allgather(mine) for facet in part}  # ghosts once
+    return [[[place[node] for node in edge] for edge in facet] for facet in sorted(everyone)]
 
 
 def list_dofs(nodes: np.ndarray, dimension: int) -> np.ndarray:

@@ -334,8 +334,8 @@ def _gather_side(structure: elasticity.Structure, flank: str, body: str | None =
         turn[local],
     )
     nodes, position, normal, area, turn = (np.concatenate(c) for c in zip(*domain.comm.allgather(columns), strict=True))
-    edges = boundaries.gather_edges(mesh, space, mine, nodes) if d == 2 else []
-    return _Side(nodes, position, point_outward(position, normal, edges), area, turn)
+    outward = point_outward(position, normal, boundaries.gather_facets(mesh, space, mine, nodes))
+    return _Side(nodes, position, outward, area, turn)
 
 
 def _pair_sides(

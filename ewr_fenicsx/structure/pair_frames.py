@@ -15,47 +15,75 @@ _SAME = 1e-9  # angle between normals that are one but for rounding
 SHARPEST = 70.0  # degrees from edge to edge: more is a corner, less a coarse curve (a bore of six edges has 60)
 
 
-def point_outward(position: np.ndarray, normal: np.ndarray, edges: Sequence[Sequence[int]]) -> np.ndarray:
-    """Unit normals of a side's nodes ``(n, d)``; where it is round in a plane, of circles through neighbouring nodes.
+def point_outward(position: np.ndarray, normal: np.ndarray, facets: Sequence[Sequence[Sequence[int]]]) -> np.ndarray:
+    """Unit normals of a side's nodes ``(n, d)``; where it is round, across the circles through neighbouring nodes.
 
-    Means over the edges that meet at a node are askew: by half the angle of an edge where a flank ends, and by half of
-    the difference where unlike edges meet. A pin in a part of a bore, which only friction keeps from turning, was
+    Means over the facets that meet at a node are askew: by half the angle of a facet where a flank ends, and by half of
+    the difference where unlike facets meet. A pin in a part of a bore, which only friction keeps from turning, was
     wedged by that, and turned until its last node jammed.
 
     Args:
         position: Of the nodes, ``(n, d)`` [m].
         normal: ``integral N n ds``, ``(n, d)``.
-        edges: Of a plane side, both ends of each and the node between; of a solid's none.
+        facets: Edges of each, as ``gather_facets`` has them.
     """
     size = np.linalg.norm(normal, axis=1, keepdims=True)
     unit = np.divide(normal, size, out=np.zeros_like(normal), where=size > 0)
-    beside: list[list[int]] = [[] for _ in position]
-    for first, last, *between in edges:
-        beside[first].append(last)
-        beside[last].append(first)
-        for node in between:
-            beside[node] = [first, last]
-    along, bend = {}, {}
-    for k, others in enumerate(beside):
-        if len(others) == 2:
-            before, after = position[k] - position[others[0]], position[others[1]] - position[k]
-            along[k] = before / (before @ before) + after / (after @ after)  # the circle's own direction
-            sides = [np.linalg.norm(way) for way in (before, after, before + after)]
-            inwards = np.sign((after - before) @ unit[k])
-            bend[k] = inwards * 2 * abs(before[0] * after[1] - before[1] * after[0]) / np.prod(sides)
-    for k, others in enumerate(beside):
-        c = k if k in bend else others[0] if len(others) == 1 else None
-        near = [bend[i] for i in beside[c] if i in bend] if c in bend else []
-        if not near or not all(_ALIKE * bend[c] ** 2 < b * bend[c] < bend[c] ** 2 / _ALIKE for b in near):
+    lines, ends = _follow_lines(facets)
+    along, bend = {}, {}  # of the circle at a node, by the next node on its line
+    for k, a, b in lines:
+        before, after = position[k] - position[a], position[b] - position[k]
+        aside = after - (after @ before) / (before @ before) * before
+        inwards = np.sign((after - before) @ unit[k])
+        along[k, a] = before / (before @ before) + after / (after @ after)
+        bend[k, a] = bend[k, b] = (
+            inwards * 2 * np.linalg.norm(aside) / (np.linalg.norm(after) * np.linalg.norm(before + after))
+        )
+    across: dict[int, list[np.ndarray]] = {}
+    for k, a, b in lines:
+        here, near = bend[k, a], [bend[i, k] for i in (a, b) if (i, k) in bend]
+        if not near or not all(_ALIKE * here**2 < there * here < here**2 / _ALIKE for there in near):
             continue  # straight, or from straight to round
-        x, y = along[c]
-        if c != k:  # an end: of the next node's circle, which makes the same angle with the edge between
-            edge = position[c] - position[k]
-            x, y = 2 * (along[c] @ edge) / (edge @ edge) * edge - along[c]
-        askew = unit[k] @ (x, y) / np.hypot(x, y)
-        if abs(askew) > _SAME:
-            unit[k] = np.array([y, -x]) / np.hypot(x, y) * np.sign(unit[k] @ (y, -x))
+        across.setdefault(k, []).append(along[k, a])
+        for end in {(a, k), (b, k)} & ends:  # the same circle, which makes the same angle with the edge between
+            edge = position[k] - position[end[0]]
+            mirrored = 2 * (along[k, a] @ edge) / (edge @ edge) * edge - along[k, a]
+            across.setdefault(end[0], []).append(mirrored)
+    turned = set()
+    for k, circles in across.items():
+        plane = np.linalg.qr(np.transpose(circles))[0]
+        askew = plane.T @ unit[k]
+        if np.linalg.norm(askew) > _SAME:
+            unit[k] -= plane @ askew
+            turned.add(k)
+    for first, last, *between in (edge for facet in facets for edge in facet):
+        if {first, last} <= turned:
+            unit[between] = unit[first] / np.linalg.norm(unit[first]) + unit[last] / np.linalg.norm(unit[last])
+            turned.update(between)
+    turned = sorted(turned)
+    unit[turned] /= np.linalg.norm(unit[turned], axis=1, keepdims=True)
     return unit
+
+
+def _follow_lines(
+    facets: Sequence[Sequence[Sequence[int]]],
+) -> tuple[list[tuple[int, int, int]], set[tuple[int, int]]]:
+    """Lines of edges: each corner that one goes on through with those beside it; each that one ends at with the next.
+
+    A line goes on to the one edge that has no facet in common with the last. It ends where the side does.
+    """
+    beside: dict[int, dict[int, set[int]]] = {}
+    for number, facet in enumerate(facets):
+        for first, last, *_ in facet:
+            beside.setdefault(first, {}).setdefault(last, set()).add(number)
+            beside.setdefault(last, {}).setdefault(first, set()).add(number)
+    lines, ends = [], set()
+    for k, around in beside.items():
+        opposite = {a: [b for b in around if not around[a] & around[b]] for a in around}
+        lines += [(k, a, b[0]) for a, b in opposite.items() if len(b) == 1 and a < b[0] and opposite[b[0]] == [a]]
+        if any(len(common) == 1 for common in around.values()):
+            ends |= {(k, a) for a, b in opposite.items() if not b}
+    return lines, ends
 
 
 def turn_tangents(normal: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from ewr_fenicsx.structure.mesh import build_mesh
 from ewr_fenicsx.structure.pair_frames import point_outward
 
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
+EXTRUDED = Path(__file__).parents[2] / "geometry" / "extruded.py"
 CORNERED = Path(__file__).parents[1] / "geometry" / "cornered.py"
 PILE = Path(__file__).parents[1] / "geometry" / "pile.py"
 BUSH = Path(__file__).parents[1] / "geometry" / "bush.py"
@@ -303,11 +304,53 @@ def test_only_round_parts_of_a_flank_have_normals_of_circles():
     for k, (x, y) in enumerate(steps):
         means[k : k + 2] += 0.5 * np.array([y, -x])
     straight = means / np.linalg.norm(means, axis=1, keepdims=True)
-    normal = point_outward(position, means, [(k, k + 1) for k in range(len(steps))])
+    normal = point_outward(position, means, [[(k, k + 1)] for k in range(len(steps))])
     round_ = [4, 5]
     along = np.radians([9, 15])
     np.testing.assert_array_equal(np.delete(normal, round_, axis=0), np.delete(straight, round_, axis=0))
     np.testing.assert_allclose(normal[round_], np.column_stack([np.sin(along), -np.cos(along)]), atol=1e-12)
+
+
+@pytest.mark.parametrize("grading", [1.0, 1.2])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_normals_of_hexahedra_in_a_part_of_a_bore_are_those_of_the_circle(degree, grading):
+    """At its ends they were askew by half of a face's angle, those between the corners of its last edges as well."""
+    made = {"profile": str(BUSH), "depth": 0.01, "layers": 2, "quarters": 2, "grading": grading}
+    interface = pair_interface(assemble(EXTRUDED, degree, **made), ["joint"])
+    assert len(interface.area) == (8 * degree + 1) * (2 * degree + 1)
+    outward = interface.position * (1, 1, 0)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    np.testing.assert_allclose(interface.normal, outward, atol=1e-9)
+
+
+def test_normals_of_a_patch_of_a_ball_are_those_of_the_ball_and_flat_ones_stay():
+    """Both lines of edges through a node bend; of 3 x 4 quadrilaterals, unlike in both directions."""
+    number = np.arange(20).reshape(5, 4)
+    facets = [
+        [(a, b), (a, c), (b, d), (c, d)]
+        for a, b, c, d in zip(
+            number[:-1, :-1].ravel(),
+            number[:-1, 1:].ravel(),
+            number[1:, :-1].ravel(),
+            number[1:, 1:].ravel(),
+            strict=True,
+        )
+    ]
+    u, v = np.meshgrid([0.2, 0.45, 0.75, 1.1], [-0.4, 0.0, 0.35, 0.65, 0.9])
+    ball = np.stack([np.cos(u) * np.cos(v), np.sin(u) * np.cos(v), np.sin(v)], axis=-1).reshape(-1, 3)
+    flat = np.stack([u, v, 0.3 * u], axis=-1).reshape(-1, 3)
+    for position, found in ((ball, ball), (flat, None)):
+        means = np.zeros_like(position)
+        for (a, b), (_, c), (_, d), _ in facets:
+            means[[a, b, c, d]] += np.cross(position[b] - position[c], position[d] - position[a])
+        means *= np.sign(means @ [1.0, 0.0, 0.0] if found is not None else -means[:, 2])[:, None]
+        unit = means / np.linalg.norm(means, axis=1, keepdims=True)
+        normal = point_outward(position, means, facets)
+        if found is None:
+            np.testing.assert_array_equal(normal, unit)
+        else:
+            assert np.abs(unit - found).max() > 0.1
+            np.testing.assert_allclose(normal, found, atol=1e-12)
 
 
 @pytest.mark.parametrize("bodies", [("blade", "disk"), ("disk", "blade")])
