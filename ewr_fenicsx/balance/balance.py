@@ -91,7 +91,7 @@ class HarmonicBalance:
     def _start(self) -> tuple[np.ndarray, tuple[ComplexArray, RealArray]]:
         """Which rows ``(m,)`` have wide gaps, and ``cold_start``.
 
-        Of many gaps on few coordinates no motion closes all: some are pushed apart until others are left open.
+        Of more rows than coordinates no motion closes all gaps: some are pushed apart until others are left open.
         """
         gaps, wide, stick = self.static_target < 0, np.zeros(self.rows, dtype=bool), self.full_stick
         most = MOST * float(np.linalg.norm(self._in_place))
@@ -101,6 +101,8 @@ class HarmonicBalance:
             for rows in self.system.index.values():
                 joined[rows[apart & (rows >= 0)]] = False
             stick = self._stick(np.where(joined, self.static_target, np.nan), joined)
+            if self.rows <= self.system.model.size:
+                break
         return wide, stick
 
     @cached_property
