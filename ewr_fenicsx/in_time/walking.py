@@ -5,7 +5,8 @@ Where pairs stick throughout, friction says nothing of the mean force that each 
 cannot carry the mean load, the springs alone would hold the body, drawn out to no end.
 
 What the springs carry in place of friction passes through zero as harmonics are added, and may be small by chance. How
-far a body goes is therefore looked at in time, a few periods from the solution.
+far a body goes is therefore looked at in time, a few periods from the solution. For ever it goes only along rigid
+motions that leave the gaps of all pressed pairs as they are: what pairs move by else has not settled yet.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from ewr_fenicsx.balance.balance import HELD_FIRMER, HarmonicBalance
 from ewr_fenicsx.balance.periodic_motion import PeriodicMotion
@@ -33,6 +35,10 @@ SLOW = 1e-3  # of what its pairs slide in a cycle, above which a walk is worth a
 # where its motion has settled; a third of them apart, ways that fade away are none that last
 WATCHED, NO_FASTER = 12, 1.5
 FINER, MOST_STEPS = 4, 8192  # how much shorter the steps where they may make it drift, and how many at most
+MOST_WORK = 3e8  # steps a period, times rows of contact squared, up to which they are made shorter
+FAINT = 1e-2  # share of a slow walk, below which the first third of the periods tells that there is none
+PRESSED = 1e-3  # share of the largest mean normal force, from which a pair counts as pressed
+SAME = 1e-6  # motion by a rigid mode, over the largest, that is the rounding of meshes
 NOTHING = 1e-5  # of the natural length, below which what moves on is the stepping's rounding, as where all pairs stick
 UNSOLVED = 10.0  # times the residual: below, what is left over is the solver's, as where friction has nothing to carry
 WALKS = (
@@ -96,6 +102,8 @@ def _springs_hold(balance: HarmonicBalance, unknowns: RealArray) -> np.ndarray:
 def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance, expected: Walk) -> Walk | None:
     """How a body that hangs on friction goes on in time, some periods after it begins on a solution of a balance.
 
+    Where no rigid motion leaves the gaps as they are, and springs carry no more than they may, there is nothing to see.
+
     Args:
         motion: The solution.
         balance: The balance.
@@ -104,34 +112,60 @@ def watch_walk(motion: PeriodicMotion, balance: HarmonicBalance, expected: Walk)
     Returns:
         None where its motion cannot be stepped, or has not settled to a walk or none.
     """
-    steps, (walk, held) = STEPS_IN_TIME, _watch(motion, balance, STEPS_IN_TIME)
+    free = find_free_motions(motion)
+    if not (free.size or expected.slow):
+        return Walk(1.0, 0.0, expected.sliding)
+    free = free if free.size else motion.problem.layout.model.rigid_modes
+    steps, (walk, held) = STEPS_IN_TIME, _watch(motion, balance, free, STEPS_IN_TIME)
+    most = min(MOST_STEPS, MOST_WORK / max(1, balance.rows) ** 2)
     # steps hold what drifts, and what ought to, by less than they turn friction
-    while walk and (walk.slow or expected.slow) and steps < MOST_STEPS:
+    while walk and (walk.slow or expected.slow) and FINER * steps <= most:
         steps, coarse = FINER * steps, walk
-        walk, held = _watch(motion, balance, steps)
+        walk, held = _watch(motion, balance, free, steps)
         if walk and walk.way > max(coarse.way / NO_FASTER, held):
             break
     return walk
 
 
-def _watch(motion: PeriodicMotion, balance: HarmonicBalance, steps: int) -> tuple[Walk | None, float]:
-    """The same with so many steps a period; and the way that these may hold: friction turns in the same step still."""
+def find_free_motions(motion: PeriodicMotion) -> RealArray:
+    """Rigid motions ``(n', k)`` that change no pressed pair's gap, in the coordinates of the layout's model."""
+    layout = motion.problem.layout
+    normal = layout.row_of("normal", np.arange(layout.model.pairs))
+    normal, modes = normal[normal >= 0], layout.model.rigid_modes
+    force = motion.forces[motion.orders.index(0), normal].real if 0 in motion.orders else np.zeros(normal.size)
+    pressed = normal[force > PRESSED * force.max(initial=0.0)]
+    units = np.linalg.norm(layout.rows @ modes, axis=0)
+    modes = modes[:, units > 0] / units[units > 0]
+    _, sizes, ways = np.linalg.svd(layout.rows[pressed] @ modes)
+    return modes @ ways[np.count_nonzero(sizes > SAME) :].T
+
+
+def _watch(motion: PeriodicMotion, balance: HarmonicBalance, free: RealArray, steps: int) -> tuple[Walk | None, float]:
+    """The same with so many steps a period; and the way that these may hold: friction turns in the same step still.
+
+    ``free``: ``(n', k)`` along which it may go on.
+    """
     from ewr_fenicsx.in_time.periodicity import fades  # only for those that are stepped, as time stepping itself
 
-    rubs, ways = balance.static_displacement_row > 0, []
+    rubs, ways, third, way = balance.static_displacement_row > 0, [], WATCHED // 3, 0.0
     try:
         for scheme, period in islice(step_from(motion, steps, THETA), WATCHED):
-            slip = period.positions @ scheme.rows.T
-            ways.append(float(measure_in_plane(balance.system, slip[-1] - slip[0])[rubs].max()))
+            if not ways:
+                along = scipy.linalg.orth(scheme.contraction @ (motion.problem.layout.expansion @ free))
+            drift = scheme.rows @ along @ (along.T @ (period.positions[-1] - period.positions[0]))
+            ways.append(float(measure_in_plane(balance.system, drift)[rubs].max()))
+            slip = measure_in_plane(balance.system, np.diff(period.positions @ scheme.rows.T, axis=0)).sum(axis=0)
+            slid = float(slip[rubs].max())
+            if len(ways) == third and max(ways[1:]) < FAINT * SLOW * slid:
+                break
     except (ModelError, ImportError):
         return None, 0.0
-    third = WATCHED // 3
-    if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1] or fades(ways[third - 1 :: third]):
-        return None, 0.0
-    way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
-    slid = measure_in_plane(balance.system, np.diff(slip, axis=0)).sum(axis=0)
+    if len(ways) > third:
+        if len(ways) < WATCHED or ways[WATCHED // 2] > NO_FASTER * ways[-1] or fades(ways[third - 1 :: third]):
+            return None, 0.0
+        way = ways[-1] if ways[-1] > NOTHING * balance.length_unit else 0.0
     turned = measure_in_plane(balance.system, np.diff(period.velocities @ scheme.rows.T, axis=0)).max(axis=0)
-    return Walk(1.0, way, float(slid[rubs].max())), 0.5 * float(turned[rubs].max()) / motion.problem.frequency
+    return Walk(1.0, way, slid), 0.5 * float(turned[rubs].max()) / motion.problem.frequency
 
 
 def measure_walk(balance: HarmonicBalance, unknowns: RealArray) -> Walk:

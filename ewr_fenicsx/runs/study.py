@@ -142,7 +142,7 @@ def _look_at(
         if work is not None:  # from which the same command goes on
             raise
         for solution in solutions:
-            vars(solution)["cautions"] = (UNSEEN,)
+            vars(solution).update(cautions=(UNSEEN,), walks_slowly=None)
         if history is not None:
             vars(history)["loss_of_stability"] = None
         return tell(), "a look at what speaks against them"
