@@ -17,6 +17,7 @@ UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 SLOW, WINDOW = 10, 8  # sweeps from which on they are extrapolated, and so many that this looks back on
 STRAYED, ROUNDING = 4.0, 1e-10  # times the square of a change before, from which on it starts anew; rounding in it
 FAR = 100.0  # times the largest change, up to which impulses are moved: what drifts on would be moved anywhere
+LEAST = 0.1  # times the tolerance, up to which a sweep leaves an impulse, and with it all others, as they are
 HUGE = 1e200  # square of changes, above which nothing is extrapolated
 
 
@@ -39,10 +40,11 @@ def step_through_period(
     n = positions.shape[1]
     dense = keep_dense.shape[0] > 0
     fast = np.flatnonzero(thetas != theta)
+    fast_rows, ahead = np.ascontiguousarray(rows[:, fast]), np.zeros(fast.size)
     x, v = positions[0].copy(), velocities[0].copy()
     free, push_of_p, other = np.zeros(n), np.zeros(n), np.zeros(n)
     echoed = np.zeros(echoes.size)
-    u, u_end, gap = np.zeros(m), np.zeros(m), np.zeros(m)
+    u, u_end, gap, pushed = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
     changed, begun, last = np.zeros(m), np.zeros((2, m)), np.zeros((3, m))
     differences, overlap = np.zeros((3, WINDOW, m)), np.zeros((WINDOW, WINDOW))
     if m > 0:
@@ -67,10 +69,8 @@ def step_through_period(
             if k > 1:  # the contact forces are mostly smooth: a line through the last two saves a quarter of the sweeps
                 p[:] = 2.0 * impulses[k - 1] - impulses[k - 2]
             np.dot(rows, free, u_end)
-            for i in range(m):
-                if p[i] != 0.0:
-                    for j in range(m):
-                        u_end[j] += delassus_columns[i, j] * p[i]
+            np.dot(p, delassus_columns, pushed)
+            u_end += pushed
             solved = False
             begun[0], begun[1] = p, u_end
             size, squares, known = 0.0, 0.0, -1
@@ -78,6 +78,7 @@ def step_through_period(
                 taken += 1
                 change, size = 0.0, 0.0
                 changed[:] = p
+                least = LEAST * tolerance * largest
                 for i in order:
                     t = twin[i]
                     new_t = 0.0
@@ -107,7 +108,7 @@ def step_through_period(
                     for row, value in ((i, new), (t, new_t)):
                         size = max(size, abs(value))
                         step = value - p[row] if row >= 0 else 0.0
-                        if step != 0.0:
+                        if abs(step) > least:
                             p[row] = value
                             for j in range(m):
                                 u_end[j] += delassus_columns[row, j] * step
@@ -135,11 +136,10 @@ def step_through_period(
                 gap[i] += dt * (theta * u_end[i] + (1 - theta) * u[i])
                 u[i] = u_end[i]
                 impulses[k, i] = p[i]
-                late[i] = 0.0
-            for j in fast:
-                more = (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
-                for i in range(m):
-                    late[i] += rows[i, j] * more
+            for i in range(fast.size):
+                j = fast[i]
+                ahead[i] = (thetas[j] - theta) * (free[j] + push_of_p[j] - v[j])
+            np.dot(fast_rows, ahead, late)
             for i in range(m):
                 gap[i] += dt * late[i]
         for i in range(n):
