@@ -14,9 +14,9 @@ from ewr_fenicsx.model.reduced_model import read_reduced_model
 
 SCRIPT = Path(__file__).with_name("chain_on_ranks.py")
 TWO_BLOCKS = Path(__file__).parents[1] / "geometry" / "two_blocks.py"
-CORNERED = TWO_BLOCKS.with_name("cornered.py")
+CORNERED, BUSH = TWO_BLOCKS.with_name("cornered.py"), TWO_BLOCKS.with_name("bush.py")
 ROOT = Path(__file__).parents[2]
-FIR_TREE = ROOT / "geometry" / "fir_tree.py"
+FIR_TREE, EXTRUDED = ROOT / "geometry" / "fir_tree.py", ROOT / "geometry" / "extruded.py"
 
 
 def run_chain(mpirun, tmp_path, ranks, source, parameters, degree):
@@ -85,6 +85,49 @@ def test_a_corner_is_seen_on_any_number_of_ranks(mpirun, tmp_path):
         done = mpirun(ranks, "python", "-m", "mpi4py", script, CORNERED)
         told = [line for line in done.stdout.splitlines() if line.startswith('flank "seat" turns a corner of 90 deg')]
         assert len(told) == ranks and len(set(told)) == 1, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("source", "parameters", "degree"),
+    [
+        (BUSH, {"order": 2, "quarters": 2, "grading": 1.2}, 2),
+        (EXTRUDED, {"profile": str(BUSH), "depth": 0.01, "layers": 2, "quarters": 2, "grading": 1.2}, 1),
+        (EXTRUDED, {"profile": str(BUSH), "depth": 0.01, "layers": 2, "quarters": 2, "grading": 1.2}, 2),
+    ],
+)
+def test_round_flanks_have_the_normals_of_their_circle_on_any_number_of_ranks(
+    mpirun, tmp_path, source, parameters, degree
+):
+    """Also where neighbouring faces, whose nodes a circle goes through, lie on different ranks."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import json, sys\n"
+        "from pathlib import Path\n"
+        "import numpy as np\n"
+        "from mpi4py import MPI\n"
+        "from ewr_fenicsx.structure.boundaries import boundary_facets\n"
+        "from ewr_fenicsx.structure.elasticity import assemble_structure\n"
+        "from ewr_fenicsx.structure.interface import pair_interface\n"
+        "from ewr_fenicsx.structure.materials import TITANIUM\n"
+        "from ewr_fenicsx.structure.mesh import build_mesh\n"
+        "comm = MPI.COMM_WORLD\n"
+        "mesh = build_mesh(Path(sys.argv[1]), json.loads(sys.argv[2]), comm)\n"
+        "materials = dict.fromkeys(mesh.bodies, TITANIUM)\n"
+        "structure = assemble_structure(mesh, materials=materials, degree=int(sys.argv[3]))\n"
+        "pairs = pair_interface(structure, ['joint'])\n"
+        "radial = pairs.position.copy()\n"
+        "radial[:, 2:] = 0.0\n"
+        "radial /= np.linalg.norm(radial, axis=1, keepdims=True)\n"
+        "parts = comm.allgather(len(boundary_facets(mesh, 'joint')))\n"
+        "assert min(parts) > 0, parts\n"
+        "told = comm.gather(f'{len(pairs.area)} pairs, round: {np.abs(pairs.normal - radial).max() < 1e-9}')\n"
+        "if told:\n"
+        "    print(*told, sep='\\n', flush=True)\n"
+    )
+    count = (8 * degree + 1) * (2 * degree + 1 if source == EXTRUDED else 1)
+    for ranks in (2, 3):
+        done = mpirun(ranks, "python", "-m", "mpi4py", script, source, json.dumps(parameters), str(degree))
+        assert done.stdout.splitlines() == [f"{count} pairs, round: True"] * ranks, done.stdout + done.stderr
 
 
 def test_ranks_tell_of_a_third_body_and_of_the_thinnest_as_one(mpirun, tmp_path):
