@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
+from scipy.optimize import linprog
 
 from ewr_fenicsx.errors import name_pairs
 from ewr_fenicsx.given import RealArray
@@ -15,6 +16,7 @@ from ewr_fenicsx.solution.solution import PeriodicSolution, tell_hit
 COARSE, ROUNDING = 1e-10, 10.0
 LARGEST = 2000  # contact rows of which it is looked whether they depend on one another: a second
 INVOLVED = 1e-6  # share of a row in what is dependent, above which it is one of those
+OVERLAP = 1e-6  # over the largest gap, below which what no motion relieves may be rounding
 
 
 def list_remedies(best: PeriodicSolution) -> str:
@@ -33,6 +35,12 @@ def list_remedies(best: PeriodicSolution) -> str:
     hit = best.list_hit_modes() or list_modes_lost_in_rounding(best)
     if hit:
         return f". {hit[0].capitalize()}"
+    if jammed := find_jammed_pairs(problem):
+        return (
+            f". No motion relieves the interferences of {name_pairs(jammed)} together: wherever the bodies are, some "
+            "of these overlap. Make them smaller, or give each pair a surface of its own, a massless coordinate behind "
+            "a stiff spring"
+        )
     if loose := list_unpressed(problem, problem.system):
         return (
             f". Nothing presses {name_pairs(loose)}: no equilibrium has a mean force there, so none acts at any time, "
@@ -80,6 +88,37 @@ def list_modes_lost_in_rounding(best: PeriodicSolution) -> list[str]:
     if not (left.max() > COARSE and best.residual < ROUNDING * left.max()):
         return []
     return [tell_hit(best.orders[int(np.argmax(left))])]
+
+
+def find_jammed_pairs(problem: ContactProblem) -> list[int]:
+    """Pairs that no mean motion brings apart all at once, as interferences of more pairs than bodies can give way to.
+
+    That is proved by weights, none of them negative, with which their motions cancel and their gaps add up to less than
+    none. None where rows are too many to look.
+    """
+    pairs = np.array([k for some, laws in problem.groups if laws.normal == "unilateral" for k in some], dtype=int)
+    if pairs.size > LARGEST or not np.any(problem.clearance[pairs] < 0):
+        return []
+    rows = problem.layout.rows_in(0)[problem.layout.row_of("normal", pairs)]
+    sizes = np.linalg.norm(rows, axis=1)
+    if not np.all(sizes > 0):
+        return []
+    gaps = problem.clearance[pairs] / sizes
+    cancelling = scipy.linalg.null_space((rows / sizes[:, None]).conj().T).real
+    if not cancelling.size:
+        return []
+    found = linprog(
+        gaps @ cancelling,
+        A_ub=-cancelling,
+        b_ub=np.zeros(pairs.size),
+        A_eq=cancelling.sum(axis=0)[None, :],
+        b_eq=[1.0],
+        bounds=(None, None),
+        method="highs",
+    )
+    if found.status != 0 or not found.fun < -OVERLAP * np.abs(gaps).max():
+        return []
+    return sorted(pairs[cancelling @ found.x > INVOLVED].tolist())
 
 
 def find_dependent_pairs(problem: ContactProblem) -> list[int]:

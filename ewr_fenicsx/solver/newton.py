@@ -19,7 +19,7 @@ from ewr_fenicsx.errors import ModelError, NotConverged, nearest
 from ewr_fenicsx.problem.composition import list_unpressed
 from ewr_fenicsx.problem.contact_problem import ContactProblem, check_problem
 from ewr_fenicsx.solution.loading_history import hold_in_place
-from ewr_fenicsx.solution.remedies import list_remedies
+from ewr_fenicsx.solution.remedies import find_jammed_pairs, list_remedies
 from ewr_fenicsx.solution.solution import PeriodicSolution
 from ewr_fenicsx.solution.symmetry import include_idle, leave_out_idle
 from ewr_fenicsx.solver.at_rest import begins_at_rest, start_at_rest
@@ -81,17 +81,17 @@ def solve(
     From a given start, Newton at the harmonics asked for. Cold, or where that fails, the ladder, rung by rung until one
     holds: from where operator splitting ends, or else from the linear full-stick solution up through growing sets of
     harmonics, each starting at the one before, solids that hang on friction from rest (``at_rest.py``), and at rest
-    what hangs on friction from where springs hold its pairs in place; from where a
-    few periods of time stepping end, and a long splitting or Newton's path leads from there (in a ring of sectors a
-    long splitting from full stick); along Newton's path while the oscillating load grows, with few samples a period
-    first; from time stepping with twice as many harmonics, and down to those asked for; laws with rounded corners that
-    are sharpened along their branch; damping traced from where little can bounce to the model's own; rounded corners
-    through more sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and
-    that tracing by itself. Weights of one's own that the first climb does not find, or that are far from the default
-    ones, are come to from a solution with these, which takes all these rungs and is the answer itself where no way
-    leads on. Where Newton's method stalls next to a solution, its path leads on from corner to corner
-    (``newton_path.py``); each factorisation counts as a Newton step. Where floating bodies touch that nothing presses,
-    the cold start is the only rung.
+    what hangs on friction from where springs hold its pairs in place; from where a few periods of time stepping end,
+    and a long splitting or Newton's path leads from there (in a ring of sectors, and at rest, a long splitting from
+    full stick); along Newton's path while the oscillating load grows, with few samples a period first; from time
+    stepping with twice as many harmonics, and down to those asked for; laws with rounded corners that are sharpened
+    along their branch; damping traced from where little can bounce to the model's own; rounded corners through more
+    sets of harmonics, with the oscillating load traced from a small share to the whole, past folds; and that tracing by
+    itself. Weights of one's own that the first climb does not find, or that are far from the default ones, are come to
+    from a solution with these, which takes all these rungs and is the answer itself where no way leads on. Where
+    Newton's method stalls next to a solution, its path leads on from corner to corner (``newton_path.py``); each
+    factorisation counts as a Newton step. Where floating bodies touch that nothing presses, or no motion relieves all
+    interferences, the cold start is the only rung.
 
     Harmonics that are zero by symmetry are left out of the solve, and are zero in the solution (``symmetry.py``).
 
@@ -198,12 +198,14 @@ def list_rungs(
     loose = list_unpressed(problem, balance.system)
     if np.any(problem.clearance[loose] <= 0):  # they lie where they touch, and each place off there is as good
         return
+    if find_jammed_pairs(problem):  # there is no solution
+        return
     if not problem.frequency and balance.hangs_on_friction and not np.any(balance.held):
         yield "from where pairs are held in place", lambda _: start_held(problem, balance, tolerance, linear_solver)
     stepped = cache(lambda: step_coarsely(problem))  # for both rungs that go by it
-    if problem.model.cyclic:  # a wave that travels round is no motion of one sector in time
+    if problem.model.cyclic or not problem.frequency:  # a wave that travels round is no motion of one sector in time
         yield "long splitting", partial(split_from_full_stick, balance, tolerance, linear_solver)
-    elif problem.frequency:
+    else:
         yield "time stepping", lambda best: start_from_time_stepping(stepped(), balance, tolerance, linear_solver, best)
     if problem.frequency and balance.size <= LARGEST_TRACED and can_follow(balance):
         yield "load grown over corners", partial(grow_load, balance, tolerance)

@@ -161,6 +161,47 @@ def test_pairs_that_depend_on_one_another_are_named_where_nothing_is_found():
     assert "depend on one another" not in list_remedies(apart)
 
 
+def rest_among_stops(seed: int) -> ContactProblem:
+    """Springs in one to six coordinates, pressed among up to 24 stops: half of them touch, others are wide open."""
+    rng = np.random.default_rng(seed)
+    n, pairs = rng.integers(1, 7), rng.integers(8, 25)
+    root, normal = rng.normal(size=(n, n)), rng.normal(size=(pairs, n))
+    gap = np.where(rng.random(pairs) < 0.5, 10 ** rng.uniform(-3.0, 1.5, pairs), 0.0)
+    load = 10.0 * rng.normal(size=n) - normal.T @ np.where(rng.random(pairs) < 0.5, 10 ** rng.uniform(-1, 1, pairs), 0)
+    stiffness = root @ root.T / n + 0.05 * np.eye(n)
+    model = ReducedModel(np.eye(n), np.zeros((n, n)), stiffness, normal, load={0: load})
+    return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 0.0, 0)
+
+
+@pytest.mark.parametrize("seed", [7, 8, 9, 10, 15, 16, 17, 28, 31, 35, 36])  # which no other rung finds
+def test_springs_come_to_rest_among_far_more_stops_than_coordinates(seed):
+    """A convex problem has one position of rest: there no pair overlaps or pulls, and none presses across a gap."""
+    problem = rest_among_stops(seed)
+    solution = solve(problem)
+    model, x = problem.model, solution.coordinates[0].real
+    force, gap = solution.history("normal_force", 1)[0], model.normal @ x + problem.clearance
+    size, length = np.abs(model.load[0]).max(), np.abs(problem.clearance).max()
+    np.testing.assert_allclose(model.stiffness @ x, model.load[0].real + model.normal.T @ force, atol=1e-9 * size)
+    assert gap.min() > -1e-7 * length and force.min() > -1e-7 * size
+    assert np.abs(force * gap).max() < 1e-6 * size * length
+
+
+@pytest.mark.parametrize("frequency, top", [(0.0, 0), (50.0, 7)])
+def test_interferences_that_no_motion_relieves_are_named(frequency, top):
+    """A rigid peg of 1.2 mm in a rigid slot of 1.0 mm; a third pair, across the slot, has nothing to do with it."""
+    stiffness, load = np.diag([1e6, 2e6]), {1: [1.0, 1.0]} if frequency else {}
+    model = ReducedModel(np.eye(2), 1e-3 * stiffness, stiffness, [[1.0, 0], [-1.0, 0], [0, 1.0]], load=load)
+
+    def pose(*gaps: float) -> ContactProblem:
+        laws = ContactLaws(tangential="frictionless", initial_gap=[*gaps, -1e-4])
+        return ContactProblem(model, laws, frequency, top)
+
+    assert solve(pose(-2e-4, 2.1e-4)).converged  # the slot is wide enough, but not where the peg is
+    with pytest.raises(NotConverged, match="No motion relieves the interferences of pairs 0, 1 together") as told:
+        solve(pose(-1e-4, -1e-4))
+    assert not told.value.best.fallbacks  # there is nothing to look for
+
+
 def stand_on_a_sprung_mass(load: float, clearance: float = 0.0) -> ContactProblem:
     """A sprung mass pressed against the ground at pair 0; on it, at pairs 1 and 2, floats one with a mean ``load``."""
     model = ReducedModel(
