@@ -55,13 +55,26 @@ def takes_friction(statics: Statics) -> bool:
     Raises:
         UnheldBody: Nothing holds a body; names the pairs that the unheld motion opens, or else slides along, most.
     """
-    return _takes_friction(*((array.tobytes(), array.shape) for array in statics))
+    return _takes_friction(*map(_pack, statics))
+
+
+class _Packed(NamedTuple):
+    """An array as what a call can be remembered by."""
+
+    numbers: bytes
+    shape: tuple[int, ...]
+
+    def unpack(self) -> RealArray:
+        return np.frombuffer(self.numbers).reshape(self.shape)
+
+
+def _pack(array: RealArray) -> _Packed:
+    return _Packed(np.asarray(array, dtype=float).tobytes(), array.shape)
 
 
 @lru_cache(maxsize=64)
-def _takes_friction(*packed: tuple[bytes, tuple[int, ...]]) -> bool:
-    arrays = (np.frombuffer(numbers).reshape(shape) for numbers, shape in packed)
-    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = arrays
+def _takes_friction(*packed: _Packed) -> bool:
+    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = (a.unpack() for a in packed)
     r = rigid_load.size
     largest_motion = max(np.abs(normal_motion).max(initial=1e-300), np.abs(tangential_motion).max(initial=0.0))
     sees_all = np.linalg.matrix_rank(normal_motion, tol=_SEEN * largest_motion) == r
@@ -121,10 +134,19 @@ def find_unpressed(statics: Statics, pressed: np.ndarray) -> list[int]:
     A normal force that never pulls and has no mean is zero throughout. Where neither the mean load asks for one nor
     others brace it, as a stop on the other side does, nothing touches the body, and where it lies is open. A linear
     program over the mean forces of ``takes_friction`` presses as many pairs as it can; those in doubt count as pressed.
+    The last answers are remembered: a solve that fails asks before it climbs and where it says why.
 
     ``pressed``: ``(K,)`` pairs of which it is known that something presses them.
     """
-    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit = statics
+    return [*_find_unpressed(*map(_pack, (*statics, pressed)))]
+
+
+@lru_cache(maxsize=64)
+def _find_unpressed(*packed: _Packed) -> tuple[int, ...]:
+    normal_motion, tangential_motion, smallest, largest, friction, rigid_load, limit, known = (
+        a.unpack() for a in packed
+    )
+    pressed = known > 0
     size = max(np.abs(normal_motion).max(initial=1e-300), np.abs(tangential_motion).max(initial=0.0))
 
     def find_free(loose: np.ndarray) -> RealArray:
@@ -136,7 +158,7 @@ def find_unpressed(statics: Statics, pressed: np.ndarray) -> list[int]:
 
     loose = (smallest == 0) & (largest > 0) & ~pressed
     if not np.any(loose) or find_free(loose).size == 0:
-        return []
+        return ()
     limit = np.where((smallest < 0) & (friction > 0), np.inf, limit)  # the cone lets no bond pull
     bounds = list(zip(smallest, largest, strict=True))
     program = _state(normal_motion, tangential_motion, bounds, friction, limit, rigid_load, _FEW_SIDES)
@@ -144,9 +166,9 @@ def find_unpressed(statics: Statics, pressed: np.ndarray) -> list[int]:
     loose[pushes] = program.press_most(pushes) <= _PRESSED
     free = find_free(loose)
     if np.abs(program.load @ free).max(initial=0.0) > _BALANCED:  # it presses less than the program sees
-        return []
+        return ()
     moved = np.abs(normal_motion @ free).max(axis=1, initial=0.0)
-    return np.flatnonzero(loose & (moved > _SEEN * size)).tolist()
+    return tuple(np.flatnonzero(loose & (moved > _SEEN * size)).tolist())
 
 
 def list_most(moved: RealArray) -> list[int]:

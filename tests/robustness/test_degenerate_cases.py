@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from counted_calls import count_calls
 from degenerate_cases import DEGENERATE, press_one_pair, shake_dovetail
 from hard_cases import TOLERANCE, run_case
 
@@ -14,6 +15,7 @@ from ewr_fenicsx import ContactLaws, ContactProblem, PeriodicSolution, ReducedMo
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.elimination import REDUNDANCY
 from ewr_fenicsx.errors import NotConverged
+from ewr_fenicsx.model.statics import _Program
 from ewr_fenicsx.solution.remedies import find_dependent_pairs, list_remedies
 
 MANY = "one thousand identical pairs"  # seconds a Newton step: among the slow ones
@@ -225,6 +227,18 @@ def test_a_body_that_nothing_presses_is_named_after_the_cold_start():
         solve(stand_on_a_sprung_mass(0.0))
     assert refused.value.best.iterations < 60 and not refused.value.best.fallbacks
     assert solve(stand_on_a_sprung_mass(1.0)).converged
+
+
+def test_what_nothing_presses_is_looked_for_once_where_a_solve_fails(monkeypatch):
+    """Before rungs are climbed, and where it is said why; with a thousand pairs that takes half a second."""
+    calls = count_calls(monkeypatch, _Program, "press_most")
+    problem = stand_on_a_sprung_mass(0.0)
+    fresh = replace(
+        problem, model=replace(problem.model, normal=problem.model.normal * [1.0, 1.0, 1.5])
+    )  # not asked yet
+    with pytest.raises(NotConverged, match="Nothing presses pairs 1, 2"):
+        solve(fresh)
+    assert len(calls) == 1
 
 
 def test_a_body_that_nothing_presses_may_lie_anywhere():
