@@ -17,6 +17,8 @@ COARSE, ROUNDING = 1e-10, 10.0
 LARGEST = 2000  # contact rows of which it is looked whether they depend on one another: a second
 INVOLVED = 1e-6  # share of a row in what is dependent, above which it is one of those
 OVERLAP = 1e-6  # over the largest gap, below which what no motion relieves may be rounding
+FILLED = 10**5  # entries of rows, none of them zero, that a linear program takes half a second for
+INDEPENDENT = 1e-10  # least eigenvalue of unit rows' products with one another, above which none depends on others
 
 
 def list_remedies(best: PeriodicSolution) -> str:
@@ -93,32 +95,30 @@ def list_modes_lost_in_rounding(best: PeriodicSolution) -> list[str]:
 def find_jammed_pairs(problem: ContactProblem) -> list[int]:
     """Pairs that no mean motion brings apart all at once, as interferences of more pairs than bodies can give way to.
 
-    That is proved by weights, none of them negative, with which their motions cancel and their gaps add up to less than
-    none. None where rows are too many to look.
+    A linear program finds the motion that leaves the least overlap. Its multipliers prove it: weights, none of them
+    negative, with which the motions of these pairs cancel, and their gaps add up to less than none. None where that
+    would take long.
     """
     pairs = np.array([k for some, laws in problem.groups if laws.normal == "unilateral" for k in some], dtype=int)
     if pairs.size > LARGEST or not np.any(problem.clearance[pairs] < 0):
         return []
     rows = problem.layout.rows_in(0)[problem.layout.row_of("normal", pairs)]
     sizes = np.linalg.norm(rows, axis=1)
-    if not np.all(sizes > 0):
+    if not np.all(sizes > 0) or np.count_nonzero(rows) > FILLED:
         return []
-    gaps = problem.clearance[pairs] / sizes
-    cancelling = scipy.linalg.null_space((rows / sizes[:, None]).conj().T).real
-    if not cancelling.size:
+    rows, gaps = rows / sizes[:, None], problem.clearance[pairs] / sizes
+    if pairs.size <= rows.shape[1] and np.linalg.eigvalsh(rows @ rows.T)[0] > INDEPENDENT:  # each gives way by itself
         return []
-    found = linprog(
-        gaps @ cancelling,
-        A_ub=-cancelling,
-        b_ub=np.zeros(pairs.size),
-        A_eq=cancelling.sum(axis=0)[None, :],
-        b_eq=[1.0],
+    least = linprog(  # motion over the largest gap, and by how much pairs overlap at least
+        np.arange(rows.shape[1] + 1) == rows.shape[1],
+        A_ub=np.hstack([-rows, -np.ones((pairs.size, 1))]),
+        b_ub=gaps / np.abs(gaps).max(),
         bounds=(None, None),
         method="highs",
     )
-    if found.status != 0 or not found.fun < -OVERLAP * np.abs(gaps).max():
+    if least.status != 0 or not least.fun > OVERLAP:
         return []
-    return sorted(pairs[cancelling @ found.x > INVOLVED].tolist())
+    return sorted(pairs[-least.ineqlin.marginals > INVOLVED].tolist())
 
 
 def find_dependent_pairs(problem: ContactProblem) -> list[int]:
