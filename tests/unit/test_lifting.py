@@ -22,12 +22,17 @@ def chain(frequency: float, phase: float) -> ContactProblem:
 
 @pytest.mark.parametrize("steps", [400, 6400])
 def test_masses_pressed_on_stops_are_not_thrown_off_by_what_a_solution_overlaps(steps):
-    """By ten times their swing they were at 6400 steps a period, and with more steps the further."""
+    """By ten times their swing they were at 6400 steps a period, and with more steps the further.
+
+    There are several solutions, and rounding decides which is found: in one of them the first mass is off its stop.
+    """
     found = solve(chain(8.9, 3.7))
-    overlap = -(found.problem.model.normal @ found.coordinates.sum(axis=0).real).min()
+    gap = found.problem.model.normal @ found.coordinates.sum(axis=0).real
+    overlap = -gap.min()
     moved = integrate(found.problem, found, steps, periods=1, tolerance=0)
     assert overlap > 1e-6, "else there is nothing to look at"
-    assert np.abs(moved.transient("first")[: steps // 8]).max() < 0.1 * overlap
+    apart = moved.history("gap", steps)[: steps // 8].max(axis=0)
+    assert np.all(apart < 1.01 * np.maximum(0.0, gap) + 0.1 * overlap)
 
 
 def test_where_no_way_apart_is_found_a_motion_begins_as_it_is(monkeypatch):
