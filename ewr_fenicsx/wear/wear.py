@@ -308,13 +308,13 @@ def read_coefficient(problem: ContactProblem, coefficient: float | RealArray) ->
     """Wear coefficient of each pair, ``(K_c,)`` [1/Pa]; zero where no gap could grow, or bonds let nothing slide.
 
     Raises:
-        ModelError: It is negative or not finite, there are not as many as pairs, or no pair can wear.
+        ModelError: It is negative, above 1e100 or NaN, there are not as many as pairs, or no pair can wear.
     """
     model = problem.model
     rates = spread_over_pairs(coefficient, np.arange(model.pairs), model.pairs, "wear coefficient")
-    if not np.all(rates >= 0) or not np.all(np.isfinite(rates)):
+    if not np.all((rates >= 0) & (rates <= 1e100)):  # neither of which holds of NaN
         raise ModelError(
-            f"wear coefficient {coefficient}; give one >= 0 in 1/Pa, or one for each of {model.pairs} pairs"
+            f"wear coefficient {coefficient}; give one from 0 to 1e100 in 1/Pa, or one for each of {model.pairs} pairs"
         )
     if problem.frequency == 0:
         raise ModelError("no pair can wear: frequency = 0 Hz, so that nothing slides; give the frequency of the cycles")

@@ -242,6 +242,7 @@ def test_nothing_wears_at_rest():
     "arguments, message",
     [
         ({"coefficient": [1e-11, 1e-11]}, "wear coefficient has 2 values for 6 pairs; give one, or one a pair"),
+        ({"coefficient": 1e300}, "wear coefficient 1e[+]300; give one from 0 to 1e100 in 1/Pa"),
         ({"coefficient": "steel"}, "wear coefficient = 'steel'; give numbers"),
         ({"cycles": 2.5}, "cycles = 2.5, .*; give whole numbers from 1"),
         ({"cycles": np.inf}, "cycles = inf, .*; give whole numbers from 1"),
