@@ -30,6 +30,7 @@ HELD_FIRMER = 10.0  # times that share for springs that hold a pair in place
 # Full stick closes every gap and holds a resonance, which may take far larger forces than the joint ever has: gaps that
 # do close take less, and pairs slip before. How many times that without the two the force may be that counts as one.
 MOST = 3.0
+ROUNDED = 1e-12  # share of what rows would take to close by themselves, up to which forces are rounding
 LOST = 1e6  # norm of the scaled unknowns, of order one, above which whole steps lead nowhere, or to no numbers at all
 
 
@@ -152,7 +153,7 @@ class HarmonicBalance:
         return self._force_unit or self.measure_stick(MOST)
 
     def measure_stick(self, most: float) -> float:
-        """Norm of the full-stick forces, up to ``most`` times the usual [N]; one where there are none.
+        """Norm of the full-stick forces, up to ``most`` times the usual [N]; one where they are none, or rounding.
 
         Full stick closes every gap, and holds the pairs at a resonance of the stuck joint. That may take forces beside
         which all others would be rounding, while gaps that do close take less, and pairs slip before they hold a
@@ -165,6 +166,9 @@ class HarmonicBalance:
             np.linalg.norm(held[~oscillates]), min(np.linalg.norm(held[oscillates]), np.linalg.norm(alone))
         )
         unit = float(np.linalg.norm(stick))
+        closing = np.linalg.norm(np.nan_to_num(self.static_target) / self.system.flexibility)
+        if unit <= ROUNDED * closing:  # a floating body gives way to what is closed
+            return 1.0
         return min(unit, float(most * usual) or unit) or 1.0
 
     @cached_property

@@ -10,7 +10,7 @@ import pytest
 from balance_points import FREQUENCY, LAWS, SPRINGS, STATES, Point, combine_with, prepare
 from small_models import dovetail, lift_off_oscillator, random_structure, repeat_first_pair
 
-from ewr_fenicsx import ContactLaws, ContactProblem
+from ewr_fenicsx import ContactLaws, ContactProblem, ReducedModel, solve
 from ewr_fenicsx.balance.balance import HarmonicBalance
 from ewr_fenicsx.balance.newton_step import Factorisation
 from ewr_fenicsx.laws.coulomb import Coulomb
@@ -397,3 +397,19 @@ def test_redundant_pairs_stay_solvable():
     direction = step.solve(-step.residual + 1e-3)
     assert np.all(np.isfinite(direction))
     np.testing.assert_allclose(step.multiply(direction), -step.residual + 1e-3, atol=1e-6)
+
+
+def test_what_a_floating_body_gives_way_to_is_no_unit_of_force():
+    """Full stick closes what overlaps; where a rigid motion does that, it takes forces that are rounding, not none."""
+    rng, arms = np.random.default_rng(0), np.linspace(-1.0, 1.0, 6)
+    root = rng.normal(size=(6, 6))
+    stiffness = np.pad(1e6 * (np.eye(6) + root @ root.T), ((2, 0), (2, 0)))
+    normal = np.column_stack([np.ones(6), arms, -np.eye(6)])
+    block = ReducedModel(np.eye(8), 1e-5 * stiffness, stiffness, normal, None)
+    laws = ContactLaws(tangential="frictionless", initial_gap=-1e-5 * (1 + 0.5 * arms))
+    problem = ContactProblem(block, laws, 0.0, 0)
+    balance = HarmonicBalance(problem.system)
+    assert 0 < np.linalg.norm(balance.full_stick[0]) < 1e-9, "rounding, or nothing is looked at"
+    assert balance.force_unit == 1.0
+    solution = solve(problem)
+    assert solution.iterations == 0 and np.abs(solution.forces).max() < 1e-9
