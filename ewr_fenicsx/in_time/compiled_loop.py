@@ -17,8 +17,8 @@ UNILATERAL, BILATERAL, FRICTION = 0, 1, 2
 SLOW, WINDOW = 10, 8  # sweeps from which on they are extrapolated, and so many that this looks back on
 STRAYED, ROUNDING = 4.0, 1e-10  # times the square of a change before, from which on it starts anew; rounding in it
 FAR = 100.0  # times the largest change, up to which impulses are moved: what drifts on would be moved anywhere
-# Times the tolerance, up to which an impulse, and so all others, are left as they are, and the sweep from which on: where
-# sweeps close in fast, what sticks is at rest to rounding.
+# Times the tolerance, up to which an impulse, and so all others, are left as they are, and the sweep from which on:
+# where sweeps close in fast, what sticks is at rest to rounding.
 LEAST, LATER = 0.1, 4
 HUGE = 1e200  # square of changes, above which nothing is extrapolated
 
