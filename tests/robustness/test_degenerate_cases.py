@@ -175,7 +175,7 @@ def rest_among_stops(seed: int) -> ContactProblem:
     return ContactProblem(model, ContactLaws(tangential="frictionless", initial_gap=gap), 0.0, 0)
 
 
-@pytest.mark.parametrize("seed", [7, 8, 9, 10, 15, 16, 17, 28, 31, 35, 36])  # which no other rung finds
+@pytest.mark.parametrize("seed", [7, 8, 9, 10, 15, 16, 28, 31, 35, 36])  # which no other rung finds
 def test_springs_come_to_rest_among_far_more_stops_than_coordinates(seed):
     """A convex problem has one position of rest: there no pair overlaps or pulls, and none presses across a gap."""
     problem = rest_among_stops(seed)
